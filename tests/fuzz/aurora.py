@@ -5,7 +5,7 @@
 Each case disturbs one exchange: bytes are lost, bits are flipped, or noise is inserted; replies are late, repeated,
 cut short, of the wrong type, or absent. The fuzzer counts exceptions, ends of the line that do not recover, and false
 accepts. A false accept is a value or a command that was never sent. The driver's session talks to a responder that was
-written here from the protocol's description, not to the simulated unit.
+written in this file from the protocol's description, not to the simulated unit.
 """
 
 import json
@@ -26,14 +26,14 @@ from station.lab.config import TrackerConfig
 
 #: Number of disturbed exchanges after which the session or the unit must prove that it still works.
 ROUND = 25
-#: Time within which a session must recover [s, virtual]: it searches at two baud rates, sends a break, sets up the
-#: tools and starts tracking.
+#: Virtual time within which a session must recover [s]: the session searches at two baud rates, sends a break, sets up
+#: the tools and starts tracking.
 PATIENCE = 30.0
 PERIOD = 1.0 / 40.0
 
 
 def disturb(data: bytes, draw: random.Random) -> bytes:
-    """Return `data` corrupted in one of the ways in which a bad line corrupts bytes."""
+    """Return `data` with one of the corruptions that a bad line causes."""
     out = bytearray(data)
     kind = draw.randrange(7)
     if kind == 0 and out:  # bits flipped
@@ -112,7 +112,7 @@ class Responder:
         return binary(body)
 
 
-#: Returns a reply that is wrong although its CRC is correct.
+#: Function that returns a wrong reply with a correct CRC.
 def wrong_kind(draw: random.Random) -> bytes:
     kind = draw.randrange(6)
     if kind == 0:

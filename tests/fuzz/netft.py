@@ -130,7 +130,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
         else:
             sent = [_flip(rng, data, rng.randint(1, 2))]
         for datagram in sent:
-            # Flipped bits in the counts, or in a status that then looks healthy, are found by UDP's checksum instead.
+            # UDP's checksum would detect flipped bits in the counts, or in a status that then appears healthy.
             if len(datagram) == 36 and (datagram[12:] != data[12:] or bad):
                 undetectable.add(struct.unpack(">6i", datagram[12:]))
         if held and rng.random() < 0.5:
@@ -158,7 +158,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
 
 
 class _Recorder:
-    """One end of the wire; it records to which address the box sends."""
+    """End of the wire that records to which address the box sends."""
 
     def __init__(self) -> None:
         self.requests: list[tuple[bytes, tuple[str, int]]] = []

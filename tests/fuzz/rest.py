@@ -15,8 +15,8 @@ import httpx
 from tests.harness.serving import Served, serving
 
 JSON = {"content-type": "application/json"}
-#: Method, path and valid body of each request. `MOVES` has the requests that move the robot; the second list those that
-#: only set or query values.
+#: Method, path and valid body of each request. `MOVES` has the requests that move the robot; the second list has the
+#: requests that only set or query values.
 MOVES: list[tuple[str, str, Any]] = [
     ("POST", "/api/start", {"trajectory": {"kind": "circle", "radius": 0.005, "period": 20.0}, "duration": 5.0}),
     ("POST", "/api/start", {"experiment": "fig10", "case": "paper"}),
@@ -47,7 +47,7 @@ ODD: list[Any] = [
 
 
 class RestFuzz:
-    """Fuzzer of one station; it keeps the findings in the station's answers."""
+    """Fuzzer of one station, with the findings in the station's answers."""
 
     def __init__(self, station: Served, seed: int) -> None:
         self.station, self.chance = station, random.Random(seed)

@@ -125,7 +125,7 @@ class DeviceCase:
         return not -2001.0 <= self.chain.units[2].true_position <= 604_724 + 2001.0
 
     def recovered(self) -> bool:
-        """Return whether, after a silence, every unit that still has its device number answers an echo."""
+        """Return whether, after a silence, every unit that still has its device number answers an echo request."""
         self.now += 1.2  # longer than a renumbering or a restart of the units takes
         self.chain.advance(self.now)
         self.now += 0.5

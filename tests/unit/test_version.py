@@ -1,4 +1,4 @@
-"""What is said of a version is said of the same one everywhere."""
+"""All files that state the project's version state the same version."""
 
 import tomllib
 

@@ -10,7 +10,7 @@ import pytest
 
 from tests.harness.root import ROOT
 
-#: A misused word in names and texts: the terms to choose from.
+#: For each word that is misused in names and texts: the correct terms.
 TERMS = {
     "told tell tells": "report, send, configure, specify, print, receive",
     "asked asks": "request, query",
@@ -26,10 +26,10 @@ TERMS = {
     "hardly": "almost no, barely with its number",
     "stands stood": "is, is at, is stationary",
 }
-#: Misused in names only: in a sentence they may be right.
+#: Words that are misused only in names; in a sentence these words may be correct.
 NAME_TERMS = {"tried": "checked, attempted", "seen": "snapshot, measured", "placed": "position", "fresh": "valid, new"}
 WORDS = {word: terms for words, terms in TERMS.items() for word in words.split()}
-#: Calls whose texts a user reads as help.
+#: Names of functions whose text arguments are the command help.
 HELP_CALLS = ("add_argument", "add_parser", "ArgumentParser")
 
 
@@ -73,7 +73,7 @@ def misused(text: str) -> list[str]:
 
 
 class PageTexts(HTMLParser):
-    """The texts and titles of a page."""
+    """Parser that collects the texts and titles of a page."""
 
     def __init__(self, page: str) -> None:
         super().__init__()

@@ -75,7 +75,7 @@ ASKS = {
 def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboard(
     calibrate: Page, picture: Picture
 ) -> None:
-    """The answers to the page are simulated; a real procedure takes minutes, and `tests/virtual` attaches weights."""
+    """The page receives simulated answers, because a real procedure takes minutes; `tests/virtual` attaches weights."""
     page, confirmed = calibrate, []
 
     def asks(route: Route) -> None:

@@ -23,7 +23,7 @@ def test_valid_and_invalid_rest_requests_cause_no_server_error(station: Served, 
         "run", f"{station.url}/api/openapi.json", "--checks", "not_a_server_error",
         "--phases", "examples,coverage,fuzzing", "--max-examples", "3", "--max-time", "10", "--seed", "1", "--no-color",
         "--request-timeout", str(NET),
-        # a report of a run that does not exist is not looked for by name
+        # the fuzzer sends no requests to the paths of viser and of the telemetry
         "--exclude-path-regex", "viser|telemetry",
     ]  # fmt: skip
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=NET, check=False)

@@ -1,4 +1,4 @@
-"""Fixtures of the model's tests: exact tips, robots of one and three tubes, differences of a solved tip."""
+"""Fixtures of the model's tests: exact tips, robots with one or three tubes, and numerical derivatives of a tip."""
 
 from pathlib import Path
 
@@ -10,20 +10,20 @@ from core.robot.robot import Joint, Robot, Section, Tube
 
 EXACT_TIPS = Path(__file__).parents[1] / "exact_tips.csv"
 
-#: Half steps of the central differences, by unit.
+#: Half step of the central differences for each unit.
 STEPS = {"rad": 1e-5, "m": 1e-6, "N": 1e-5, "N m": 1e-6}
 
 
 @pytest.fixture(scope="session")
 def exact_tips() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Joints, wrench and tip [m] of the paper's robot, on which three independent solvers agree to 1e-5 mm."""
+    """Return joints, wrench and tip [m] of the paper's robot; three independent solvers agree on the tip to 1e-5 mm."""
     table = np.loadtxt(EXACT_TIPS, delimiter=",", skiprows=1)
     return [(row[[1, 2, 0]], np.r_[row[3:6], 0.0, 0.0, 0.0], 1e-3 * row[6:9]) for row in table]
 
 
 @pytest.fixture(scope="session")
 def one_tube():
-    """Make a robot of one tube that turns and slides."""
+    """Return a function that makes a robot of one tube, which turns and slides."""
 
     def make(*sections: Section, bending_stiffness: float = 0.04, poisson_ratio: float = 0.30) -> Robot:
         tube = Tube("only", sections, bending_stiffness, poisson_ratio)
@@ -34,7 +34,7 @@ def one_tube():
 
 @pytest.fixture(scope="session")
 def three_tubes() -> Robot:
-    """Robot of three different tubes and six joints: rotation and translation of each, from the innermost outward."""
+    """Return a robot of three tubes and six joints: rotation and translation of each tube, the innermost first."""
     tubes = (
         Tube("a", (Section(0.20), Section(0.10, (6.0, 0.0))), 0.02, 0.30, 1.0e-3, 0.5e-3),
         Tube("b", (Section(0.10), Section(0.10, (3.0, 2.0))), 0.04, 0.35, 1.8e-3, 1.2e-3),
@@ -49,7 +49,7 @@ MOTIONS = ("rotation", "translation")
 
 @pytest.fixture(scope="session")
 def differences():
-    """Derivative of a solved tip, position then rotation, by central differences of the whole solve."""
+    """Return a function that differentiates a solved tip (position, then rotation) by central differences."""
 
     def differences(solver, joints: np.ndarray, wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return J (6, n) and C (6, 6)."""
@@ -71,7 +71,7 @@ def differences():
 
 @pytest.fixture(scope="session")
 def poses():
-    """Draw poses of the paper's robot and tip wrenches of up to a force [N] and a moment [N m], from a seed."""
+    """Return a function that draws poses of the paper's robot, and tip wrenches up to a force [N] and moment [N m]."""
 
     def draw(seed: int, count: int, force: float, moment: float = 0.0) -> list[tuple[np.ndarray, np.ndarray]]:
         random = np.random.default_rng(seed)

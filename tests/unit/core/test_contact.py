@@ -30,7 +30,7 @@ def test_the_model_under_a_shaft_force_agrees_with_the_exact_rod(paper_robot, s,
 @pytest.mark.parametrize("integrator", ["paper", "fourth_order"])
 @pytest.mark.parametrize("s", [s for s in ARC_LENGTHS if s != 0.0737])  # a section ends there: a kink
 def test_j_and_c_under_a_shaft_force_are_the_derivatives_of_the_resolved_tip(paper_robot, s, integrator):
-    """The derivative by the force is at its contact, whose arc length from the plate is constant."""
+    """For the derivative by the force, the arc length of the contact from the plate is constant."""
     model = Statics(paper_robot, 0.010, integrator)
     solution = model.solve(JOINTS, WRENCH, contact=s)
     for k in range(9):
@@ -51,7 +51,7 @@ def test_only_the_tip_moment_remains_beyond_the_contact_of_a_shaft_force(paper_r
 
 
 def test_the_deflection_of_a_straight_tube_under_a_shaft_force_matches_beam_theory(one_tube):
-    """F a^2 (3 L - a) / (6 EI) at the tip for a small force at a."""
+    """The tip deflects by F a^2 (3 L - a) / (6 EI) under a small force F at the arc length a."""
     force, at, length = 1e-3, 0.09, 0.15
     solution = Statics(one_tube(Section(0.2)), 0.0025).solve(
         np.array([0.0, -0.05]), np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]), contact=at

@@ -1,4 +1,4 @@
-"""`solve_many` solves the model at many poses on all processors; `tests.harness.many_rows` tests more poses."""
+"""`solve_many` solves the model at many poses on all processors; `tests.harness.many_rows` checks more poses."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The time of day may be set back and forth, so it is used for time stamps only and never for waiting.
+"""The time of day may be set back or forward, so the station uses it only for time stamps and never for waiting.
 
 Durations, leases, deadlines and rows use a monotonic clock (`time.monotonic`, `station/control/clock.py`).
 """

@@ -59,7 +59,7 @@ def test_an_invalid_rest_body_is_refused_with_field_and_reason(
 
     assert 400 <= answer.status_code < 500
     assert named in answer.json()["error"]
-    assert app.get("/api/operator").json()["name"] is None  # it made nobody operator
+    assert app.get("/api/operator").json()["name"] is None  # the refused request made no client operator
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,8 @@ def test_a_refusal_names_location_and_cause_without_the_parsers_terms(app: TestC
         ("PUT", "/api/scene", '{"HALF": true}'),
     ],
 )
-@pytest.mark.parametrize("half", [b"\\ud800", b"a\\uDfFf", b"\xed\xa0\x80"])  # two escape sequences, and raw bytes
+# a half as an escape sequence (twice) and as raw bytes
+@pytest.mark.parametrize("half", [b"\\ud800", b"a\\uDfFf", b"\xed\xa0\x80"])
 def test_half_of_a_surrogate_pair_in_a_body_is_refused(
     app: TestClient, method: str, path: str, body: str, half: bytes
 ) -> None:
@@ -124,7 +125,7 @@ def test_an_oversized_body_is_not_read_to_its_end(app: TestClient, path: str) ->
 
     assert answer.status_code == 413
     assert "65536" in answer.json()["error"]
-    assert app.get("/api/operator").json()["name"] is None  # it made nobody operator
+    assert app.get("/api/operator").json()["name"] is None  # the refused request made no client operator
 
 
 def test_an_oversized_body_without_a_length_is_not_read_to_its_end(app: TestClient) -> None:

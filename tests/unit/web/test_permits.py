@@ -18,7 +18,7 @@ from web.api.commands import permit_of, with_permits
 
 @pytest.fixture
 def supervisor() -> Iterator[Supervisor]:
-    """Supervisor of a station that is OFF."""
+    """Yield the supervisor of a station that is OFF."""
     supervisor = Supervisor(load_station(None).bench())
     yield supervisor
     supervisor.close()

@@ -101,7 +101,7 @@ def test_a_setpoint_client_without_a_first_message_is_disconnected_with_the_reas
 
 
 def test_only_the_operator_may_stream_setpoints_and_the_close_reason_fits_any_name(app: TestClient) -> None:
-    name = "%F0%9F%A6%BE" * 40  # four bytes each
+    name = "%F0%9F%A6%BE" * 40  # each character has four bytes
     app.post("/api/operator", json={}, headers={"x-ctr-client": "anna-0123456789", "x-ctr-name": name})
     try:
         answer = refused(app, {"text": "{}"})

@@ -1,4 +1,4 @@
-"""The page's files."""
+"""Checks of the static files of the page."""
 
 import re
 from pathlib import Path

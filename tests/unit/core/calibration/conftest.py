@@ -9,7 +9,7 @@ from core.robot.limits import JointLimit, Limits
 
 @pytest.fixture(scope="session")
 def paper_limits() -> Limits:
-    """Travel of the paper's stages."""
+    """Return the travel limits of the paper's stages."""
     turn = (-2.0 * math.pi, 2.0 * math.pi, 0.35, 1.75)
     return Limits((
         JointLimit("outer_rotation", "rad", *turn),

@@ -30,7 +30,7 @@ def test_a_misaligned_coil_axis_is_found_with_its_spread(tips, angle):
 
 
 def test_a_model_that_bends_too_much_appears_as_a_misaligned_coil(tips):
-    """A constant rotation in every tip frame causes no spread: only an accurate model separates it from the coil."""
+    """An equal rotation of all tip frames causes no spread; only an accurate model separates it from the coil's."""
     modelled = tips * Rotation.from_euler("x", -2.0, degrees=True)
 
     found = coil_axis(modelled.as_matrix(), tips.apply([0.0, 0.0, 1.0]))

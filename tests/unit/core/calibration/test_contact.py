@@ -16,7 +16,7 @@ NOISE = Noise(force=2e-3, moment=0.1e-3)
 
 
 def felt(robot, joints, force, s, seed=0):
-    """Force and moment at the plate of the exact rod, with noise: its internal moments, not r x F."""
+    """Return force and moment at the plate with noise; the moment is the exact rod's internal one, not r x F."""
     random = np.random.default_rng([seed, 3])
     rod = ExactRod(robot).solve(joints, np.r_[force, np.zeros(3)], contact=s)
     stiffness = [tube.bending_stiffness / tube.stiffness_ratio for tube in robot.tubes]

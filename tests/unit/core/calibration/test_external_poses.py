@@ -28,7 +28,7 @@ NOISE = 0.1e-3
 
 
 def measured(robot, joints, forces=None, *, noise=NOISE, seed=0, came=None, play=0.0):
-    """Measurements of the exact rod by a tracker at BASE that measures a marker at OFFSET from the tip."""
+    """Return measurements of the exact rod; a tracker at BASE measures a marker at OFFSET from the tip."""
     random, exact = np.random.default_rng([seed, 3]), ExactRod(robot)
     forces = np.zeros((len(joints), 3)) if forces is None else forces
     came = [None] * len(joints) if came is None else came
@@ -44,7 +44,7 @@ def measured(robot, joints, forces=None, *, noise=NOISE, seed=0, came=None, play
 
 
 def turned(first: np.ndarray, second: np.ndarray) -> float:
-    """Angle between two rotations [rad]."""
+    """Return the angle between two rotations [rad]."""
     return float(np.linalg.norm(Rotation.from_matrix(first @ second.T).as_rotvec()))
 
 
@@ -56,7 +56,7 @@ def test_the_trackers_base_and_the_marker_offset_are_recovered_with_the_robot_fi
     np.testing.assert_allclose(found.frames.registration.position, BASE.position, rtol=0, atol=0.3e-3)
     np.testing.assert_allclose(found.frames.coil, OFFSET, rtol=0, atol=0.3e-3)
     assert found.noise == pytest.approx(NOISE, rel=0.15)
-    # The mean length of a vector of three normal components is sqrt(8 / pi) of their deviation; 9 of 120 are fitted.
+    # A vector of three normal components has a mean length of sqrt(8 / pi) deviations; 9 of 120 values are fitted.
     assert ErrorStatistics.of(found.errors(measurements, forces)).mean == pytest.approx(
         math.sqrt(8.0 / math.pi) * NOISE, rel=0.12
     )  # fmt: skip
@@ -81,7 +81,7 @@ def test_tips_in_the_robot_s_frame_need_no_fit(paper_robot):
     found = fit_poses(paper_robot, at_tip, forces, "none", FitParameters())
 
     assert found.fit is None
-    assert np.abs(found.errors(at_tip, forces)).max() < 2e-6  # of the model's fourth-order scheme
+    assert np.abs(found.errors(at_tip, forces)).max() < 2e-6  # the error of the model's fourth-order scheme
 
 
 @pytest.fixture(scope="module")

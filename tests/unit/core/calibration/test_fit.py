@@ -90,7 +90,7 @@ def test_a_fit_stays_inside_the_bounds_of_its_parameters():
 
 @dataclass
 class Cliff:
-    """Residuals of log(1 - x) = b, without a shape for x >= 1: the first Gauss-Newton step ends there."""
+    """Residuals of log(1 - x) = b, which do not exist for x >= 1: the first Gauss-Newton step ends at such an x."""
 
     target: float
 

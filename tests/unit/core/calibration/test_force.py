@@ -78,7 +78,7 @@ def test_observable_sensor_drift_is_found(bench, found):
     drift = bench[2]
 
     np.testing.assert_allclose(found.drift[:, :2], drift[:, :2], rtol=0, atol=0.5e-3 / 60.0)
-    # Along the axis only the sum of both affects the load, and only the sum is determined.
+    # Along the axis only the sum of both sensors' drifts affects the load, so only this sum is determined.
     assert found.drift[:, 2].sum() == pytest.approx(drift[:, 2].sum(), abs=0.5e-3 / 60.0)
     assert any({"inner force drift z", "outer force drift z"} <= dict(weak.parts).keys() for weak in found.fit.weak)
 

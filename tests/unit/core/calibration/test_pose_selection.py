@@ -27,7 +27,7 @@ def test_low_discrepancy_points_fill_the_cube_evenly():
 
     assert ((points >= 0.0) & (points < 1.0)).all()
     counts, _ = np.histogramdd(points, bins=4, range=[(0.0, 1.0)] * 3)
-    assert counts.min() >= 4  # 8 on average; chance leaves cells with 2 or fewer
+    assert counts.min() >= 4  # the mean is 8; random points leave some cells with 2 or fewer
 
 
 def test_candidate_poses_are_inside_all_limits(paper_robot, paper_limits):
@@ -53,7 +53,7 @@ def test_poses_with_nearly_flush_tube_ends_are_infeasible():
     ends = robot.tube_poses(pose)[1] + np.array([tube.length for tube in robot.tubes])
     poses = np.array([pose, pose])
     for row, left in zip(poses, (1.4e-3, 1.6e-3), strict=True):
-        row[3] += ends[1] - ends[2] - left  # the outer tube, extended to just before the middle one's end
+        row[3] += ends[1] - ends[2] - left  # extend the outer tube until `left` [m] before the middle tube's end
 
     assert feasible(Statics(robot), file.limits(), poses, REST).tolist() == [False, True]
 
@@ -98,7 +98,7 @@ def test_a_path_through_a_forbidden_region_is_not_free(paper_robot, paper_limits
     left, right = (START + np.array([turn, 0.0, 0.0]) for turn in (-1.2, 1.2))
     ends = [model.solve(joints, np.zeros(6)).tip for joints in (left, right)]
     middle = model.solve(START, np.zeros(6)).tip
-    # A wall between the tips at the path's ends and the tip at its middle, on either side.
+    # A wall separates the tip at the path's middle from the tips at both ends of the path.
     axis = int(np.argmin([abs(ends[0][k] - ends[1][k]) for k in range(2)]))
     wall, lower, upper = 0.5 * (ends[0][axis] + middle[axis]), [-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]
     (upper if middle[axis] > wall else lower)[axis] = wall

@@ -49,6 +49,7 @@ def test_an_uncertain_force_has_less_weight_where_the_robot_is_compliant(paper_r
     measurements = seen(paper_robot, np.array([[0.0, 1.5, -0.12], [0.0, 1.5, -0.02]]), FORCE)
     frames = Frames(TRACKER, COIL, np.zeros(3))
     found = Prediction(paper_robot, (), measurements, np.tile(FORCE, (2, 1)), NOISE._replace(force=0.02), frames)
-    rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)  # by the frame's position: these are the weights
+    # the derivatives by the frame's position are the weights
+    rows = found.jacobian(np.zeros(9))[:, 3:6].reshape(2, 3, 3)
 
     assert np.linalg.det(rows[0]) > 10.0 * np.linalg.det(rows[1])

@@ -35,7 +35,7 @@ def test_each_calibrated_quantity_changes_only_its_own_tube_parameter(paper_robo
 
 
 def test_a_zero_angle_is_equivalent_to_a_rotation_of_the_stage(paper_robot):
-    """A tube curved in another direction has the described pose at another reading of the stage."""
+    """A tube that is curved in another direction has the described pose at another angle of the stage."""
     joints, wrench = np.array([0.4, 1.1, -0.08]), np.array([0.2, 0.1, -0.1, 0.0, 0.0, 0.0])
     turned = with_changes(paper_robot, [Quantity(0, "zero_angle")], np.array([0.25]))
 

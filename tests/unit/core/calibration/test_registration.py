@@ -11,7 +11,7 @@ from tests.harness.visited import COIL, NOISE, TRACKER, altered, poses, seen
 
 
 def far(found: RigidTransform) -> float:
-    """Mean distance [m] at the corners of the workspace."""
+    """Return the mean distance [m] between true and found positions at the corners of the workspace."""
     corners = np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (0.1, 0.25)])
     return float(np.linalg.norm(found.apply(TRACKER.inverse().apply(corners)) - corners, axis=1).mean())
 

@@ -16,7 +16,7 @@ def robot():
 
 
 def inner_turned(*angles: float) -> np.ndarray:
-    """Joints of the nylon robot in which the inner tube turns to these angles in sequence [rad]."""
+    """Return joint positions of the nylon robot: the inner tube turns to the given angles [rad] in sequence."""
     return np.array([[0.0, -0.08, angle, -0.11] for angle in angles])
 
 

@@ -32,7 +32,7 @@ def test_planned_travel_at_constant_velocity_covers_the_whole_lead_time():
 
 
 def test_planned_joint_position_equals_that_of_simulated_delayed_stages():
-    """For any sequence of velocities, the joint moves by each of them after the transport delay."""
+    """In any sequence of velocities, each velocity moves the joint after the transport delay."""
     random = np.random.default_rng(3)
     actuation = Actuation(PERIOD, command_interval=0.0, transport_delay=0.012)
     delay = 6

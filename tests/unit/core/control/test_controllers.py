@@ -22,7 +22,7 @@ def model(paper_robot):
 
 @pytest.fixture(scope="module")
 def view(model) -> LoopInputs:
-    """Inputs of an inner loop in steady motion of joints and load; rates are difference quotients of model tips."""
+    """Return inputs of an inner loop while joints and load move steadily; rates are differences of model tips."""
     h = 1e-4
 
     def solved(time: float, load: float):
@@ -43,7 +43,7 @@ def view(model) -> LoopInputs:
 
 @pytest.fixture(scope="module")
 def tip_rate(model) -> np.ndarray:
-    """Tip velocity (3,) of the steady motion of joints and load, from differences of the solved tip."""
+    """Return the tip velocity (3,) while joints and load move steadily, from differences of the solved tip."""
     h = 1e-4
     ahead, behind = (
         model.solve(POSE + s * h * JOINT_RATE, np.r_[FORCE + s * h * FORCE_RATE, np.zeros(3)]).tip for s in (1, -1)
@@ -67,11 +67,12 @@ def test_loaded_jacobian_strategy_misses_the_tip_motion_that_the_load_causes(vie
 
 def test_type_2_compensates_every_tip_motion_not_caused_by_the_joints(view):
     u_int = np.array([1e-3, 0.0, -2e-3])
-    measured = view.loaded.jacobian[:3] @ JOINT_RATE + view.load_rate + view.drift  # X' as the observer has it
+    # the tip velocity X' that the observer estimates
+    measured = view.loaded.jacobian[:3] @ JOINT_RATE + view.load_rate + view.drift
 
     jacobian, velocity = INNER_LOOPS["type_2"](u_int, view)
 
-    # eq. (29) verbatim
+    # eq. (29) of the paper
     expected = np.linalg.solve(view.loaded.jacobian[:3], u_int - (measured - view.loaded.jacobian[:3] @ JOINT_RATE))
     np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), expected, rtol=0, atol=1e-12)
 

@@ -1,4 +1,4 @@
-"""Corrections in the tick: displaced, misaligned coil and sensors give the estimates of ideal ones."""
+"""Corrections: with them a displaced, misaligned coil and misaligned sensors give the same estimates as ideal ones."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def controller(paper_robot) -> Controller:
 
 
 def at_bases(tip: np.ndarray) -> np.ndarray:
-    """Wrenches (2, 6) with the sum FORCE at the tip, all at the outer tube."""
+    """Return the wrenches (2, 6) of both tubes for FORCE at the tip; the outer tube carries all of it."""
     turn = Rotation.from_euler("z", JOINTS[0]).inv()
     return np.array([np.zeros(6), np.r_[turn.apply(FORCE), turn.apply(np.cross(tip, FORCE))]])
 

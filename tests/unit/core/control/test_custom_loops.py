@@ -1,4 +1,4 @@
-"""A custom loop or limit moves the robot as it computed, or the tick is refused by the name of the loop or limit."""
+"""A custom loop or limit has the computed effect, or the tick is refused with the name of the loop or limit."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -118,7 +118,7 @@ def test_custom_outer_loop_moves_the_robot_as_computed_or_is_refused_by_name(ben
         assert "outer loop 'Outer'" in str(error)  # noqa: PT017 - or else the motion
         assert not usable(value, (3,))
     except NotFinite:
-        assert np.abs(value).max() > 1e100  # finite, and its square is not
+        assert np.abs(value).max() > 1e100  # the value is finite, but its square is infinite
     else:
         assert usable(value, (3,))
         assert np.array_equal(found.u_int, np.asarray(value, dtype=np.float64))

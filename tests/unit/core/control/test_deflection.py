@@ -38,7 +38,7 @@ def test_steady_rate_filter_equals_the_full_kalman_recursion_once_settled():
             kalman.update(value)
 
     full = np.array([kalman.x[:, 0] for kalman in recursions])
-    assert np.abs(full[:, 1]).max() > 1e-3  # something moves
+    assert np.abs(full[:, 1]).max() > 1e-3  # the test case has a rate that is not zero
     np.testing.assert_allclose(estimate.value, full[:, 0], rtol=0, atol=1e-10)
     np.testing.assert_allclose(estimate.rate, full[:, 1], rtol=0, atol=1e-9)
 
@@ -55,7 +55,7 @@ def test_the_rate_filters_gain_solves_the_riccati_equation(period, bandwidth):
 
 @pytest.mark.parametrize("bandwidth", [0.5, 1.0, 5.0])
 def test_the_rate_filters_bandwidth_is_its_natural_frequency(bandwidth):
-    """Poles of the error, from the response of the estimate to a unit innovation: w^2 = rate gain / period."""
+    """The natural frequency w follows from the response to a unit innovation: w^2 = rate gain / period."""
     steady = RateFilter(PERIOD, bandwidth)
     rate = steady.update(steady.start(np.zeros(3)), np.ones(3)).rate[0]
 

@@ -8,7 +8,7 @@ from core.control.force_fusion import FusedLoad, closure, fuse
 
 
 def at_sensor(world: np.ndarray, alpha: float, beta: float) -> np.ndarray:
-    """Reading of a wrench about the plate's origin by a sensor at (0, 0, beta), rotated by alpha."""
+    """Return the reading of a sensor at (0, 0, beta), rotated by alpha, for a wrench about the plate's origin."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, alpha]).as_matrix()
     pose[:3, 3] = [0.0, 0.0, beta]
@@ -28,7 +28,7 @@ def test_total_load_is_recovered_from_base_sensors_and_forces_between_tubes_canc
     load = np.r_[force, np.cross(tip, force)]
     shares = random.dirichlet(np.ones(tubes))[:, None] * load
     internal = random.normal(scale=3 * [2.0] + 3 * [0.3], size=(tubes, 6))  # friction and contact, larger than the load
-    internal -= internal.mean(axis=0)  # action and reaction
+    internal -= internal.mean(axis=0)  # by action and reaction the internal wrenches sum to zero
     readings = np.array([at_sensor(*each) for each in zip(shares + internal, alpha, beta, strict=True)])
 
     fused = fuse(readings, alpha, beta)

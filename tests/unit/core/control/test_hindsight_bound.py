@@ -30,7 +30,7 @@ def rod(one_tube):
 
 
 def along_z(rod: Statics, times: np.ndarray, heights: np.ndarray) -> LoadCourse:
-    """Load course with targets that move from the start tip along z, without load."""
+    """Return a load course without load; its targets are at `heights` [m] above the start tip along z."""
     tip = rod.solve(START, np.zeros(6)).tip
     return LoadCourse(times, tip + np.outer(heights, (0.0, 0.0, 1.0)), np.zeros((len(times), 3)))
 
@@ -49,7 +49,7 @@ def test_best_path_has_an_error_of_half_a_target_jump_before_and_after_it(rod):
     times = np.linspace(0.0, 2.0, 101)
     best = best_path(rod, LIMITS, START, STILL, along_z(rod, times, np.where(times < 1.0 - 1e-9, 0.0, 0.008)))
 
-    # between the last time before the jump and the first after it the joint moves at top speed
+    # between the last time before the jump and the first time after the jump the joint moves at top speed
     assert best.largest == pytest.approx(0.5 * (0.008 - SPEED * 0.02), rel=5e-3)
 
 
@@ -97,7 +97,7 @@ def model(paper_robot):
 
 
 def ramp(model: Statics, rise: float, until: float, moments: int = 101) -> LoadCourse:
-    """Load course with half a newton along x that rises within `rise` [s], at a constant target."""
+    """Return a load course with a constant target; a force of 0.5 N along x rises within `rise` [s]."""
     times = np.linspace(0.0, until, moments)
     pull = 0.5 * np.clip(times / rise, 0.0, 1.0) if rise > 0.0 else np.full(moments, 0.5)
     tip = model.solve(POSE, np.zeros(6)).tip
@@ -105,7 +105,7 @@ def ramp(model: Statics, rise: float, until: float, moments: int = 101) -> LoadC
 
 
 def deflection(model: Statics) -> float:
-    """Deflection of the tip by half a newton when the joints do not move [m]."""
+    """Return the deflection of the tip by 0.5 N when the joints do not move [m]."""
     loaded, rest = (model.solve(POSE, np.array([pull, 0.0, 0.0, 0.0, 0.0, 0.0])).tip for pull in (0.5, 0.0))
     return float(np.linalg.norm(loaded - rest))
 
@@ -144,7 +144,7 @@ def test_no_random_path_next_to_the_best_path_is_better(model):
     rng, dt = np.random.default_rng(3), course.times[1]
     rates = np.diff(best.joints, axis=0) / dt
     for _ in range(30):
-        # A bump over a tenth to a half of the time in all joints; used if it violates no limit.
+        # All joints get a bump that lasts a tenth to a half of the time; a path that violates a limit is not used.
         middle, width = rng.uniform(0.0, 1.0), rng.uniform(0.1, 0.5)
         bump = np.exp(-(((course.times[1:] / 1.4 - middle) / width) ** 2))
         moved = np.clip(rates + 0.2 * np.outer(bump, speed * rng.normal(size=3)), -speed, speed)

@@ -12,7 +12,7 @@ REST = TargetState(np.zeros(3), np.zeros(3))
 
 
 def breathing(time: float) -> TargetState:
-    """Goal that moves along an ellipse about a point 30 mm away, with its exact velocity."""
+    """Return the position and exact velocity of a target that moves along an ellipse about a point 30 mm away."""
     w = 2.0 * np.pi * 0.25
     at = np.array([0.03, 0.0, 0.0]) + 1e-3 * np.array([5.0 * np.sin(w * time), 0.0, 2.0 * np.cos(w * time)])
     return TargetState(at, 1e-3 * w * np.array([5.0 * np.cos(w * time), 0.0, -2.0 * np.sin(w * time)]))
@@ -28,7 +28,7 @@ def run(pursuit, goals, start=REST):
 def check_bounds(pursuit, positions, velocities):
     assert np.linalg.norm(velocities, axis=1).max() <= pursuit.max_speed * (1.0 + 1e-9)
     assert np.linalg.norm(np.diff(velocities, axis=0), axis=1).max() <= pursuit.max_acceleration * PERIOD * (1.0 + 1e-9)
-    # The reported velocity is the actual one.
+    # The reported velocity is the actual velocity of the setpoint.
     np.testing.assert_allclose(
         np.diff(positions, axis=0), 0.5 * PERIOD * (velocities[1:] + velocities[:-1]), atol=1e-15
     )
@@ -99,7 +99,8 @@ def test_setpoint_stops_before_its_reach_and_slides_along_it():
 
     aside = TargetState(np.array([0.05, 0.05, 0.0]), np.zeros(3))
     positions, _ = run(pursuit, [aside] * 5000, TargetState(positions[-1], velocities[-1]))
-    assert np.linalg.norm(positions, axis=1).max() <= 0.03 + 1e-4  # it turns with a bounded acceleration
+    # the setpoint turns with a bounded acceleration, so it may exceed the reach by 0.1 mm
+    assert np.linalg.norm(positions, axis=1).max() <= 0.03 + 1e-4
     assert positions[-1] == pytest.approx(np.array([0.5, 0.5, 0.0]) * 0.03 * np.sqrt(2.0), abs=1e-4)
 
 
@@ -134,5 +135,5 @@ def test_setpoint_never_leaves_its_reach_for_any_goal_and_bounds(speed, accelera
     positions, velocities = run(pursuit, goals)
 
     check_bounds(pursuit, positions, velocities)
-    # It stops at the end of a period, not within it.
+    # The setpoint can stop only at the end of a period, not within a period.
     assert np.linalg.norm(positions, axis=1).max() <= 1.0001 * reach + acceleration * PERIOD**2

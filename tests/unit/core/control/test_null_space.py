@@ -57,7 +57,8 @@ def test_stability_gradient_is_correct_after_a_trial_solve_of_every_joint(solved
         step = np.zeros(6)
         step[k] = 1e-3 * LIMITS.speed[k]
         ends = [model.solve(NEAR_THE_EDGE + side * step, now.wrench).stability for side in (1.0, -1.0)]
-        assert slope.values[k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.1, abs=2e-3)  # one side
+        # the gradient is a one-sided difference, so it differs from this central one
+        assert slope.values[k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.1, abs=2e-3)
 
 
 def test_null_space_objective_without_a_stability_weight_makes_no_trial_solve(solved):
@@ -98,7 +99,7 @@ def test_null_space_motion_does_not_change_the_task(solved, task):
     )
     for velocity in (still, busy):
         np.testing.assert_allclose(rows @ velocity, desired, rtol=0, atol=1e-8)
-    # They differ by the preferred velocity's part in the null space, joints measured by their top speed.
+    # The two velocities differ by the preferred velocity's null-space part; each joint is scaled by its top speed.
     scaled = rows * LIMITS.speed
     inside = np.eye(6) - np.linalg.pinv(scaled) @ scaled
     np.testing.assert_allclose(
@@ -116,7 +117,8 @@ def test_the_jacobian_jumps_only_for_motions_across_a_kink(solved, outer):
     slides = [LIMITS.joints[k].name in ("inner_translation", outer) for k in range(6)]
     jump = after - before
     assert np.abs(jump[:, slides]).max() > 5e-3  # [m/s]
-    assert np.abs(jump[:, slides].sum(axis=1)).max() < 1e-4  # both tubes together stay on the same side
+    # when both tubes move together, the robot stays on the same side of the kink
+    assert np.abs(jump[:, slides].sum(axis=1)).max() < 1e-4
     assert np.abs(jump[:, np.logical_not(slides)]).max() < 1e-4
     assert np.abs(further - after).max() < 1e-4
 

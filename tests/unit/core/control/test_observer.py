@@ -54,7 +54,8 @@ CONSTANT = np.array([1e-3, -2e-3, 0.5e-3])
 def test_observer_finds_a_constant_model_bias_during_any_motion_of_the_robot():
     """A frame compared at the wrong time would cause an error: 24 ms of latency at 20 mm/s are half a millimetre."""
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT)
-    bench.seen = bench.observer.start(bench.model(0.0), bench.model(0.0))  # without the bias
+    # the observer starts with an estimate of zero bias
+    bench.seen = bench.observer.start(bench.model(0.0), bench.model(0.0))
 
     bench.run(5.0)
 
@@ -85,7 +86,7 @@ def test_the_observers_uncertainty_matches_the_spread_of_its_error():
     spread = np.sqrt(np.mean(np.square(errors)))
     # The filter assumes a random walk of the bias, which the simulated bias does not have: the uncertainty is larger.
     assert 0.3 * np.mean(uncertainties) < spread < np.mean(uncertainties)
-    assert np.mean(uncertainties) < 0.9e-4  # better than a frame
+    assert np.mean(uncertainties) < 0.9e-4  # smaller than the noise of a single frame
 
 
 def test_the_observers_covariance_settles_at_the_solution_of_the_riccati_equation():
@@ -98,7 +99,7 @@ def test_the_observers_covariance_settles_at_the_solution_of_the_riccati_equatio
     after = before - before @ see.T @ see @ before / (before[0, 0] + noise)
     seen = observer.start(np.zeros(3), np.zeros(3))
 
-    # Frames without latency, every 25 ms on average: ticks 12 and 13 apart.
+    # Frames without latency arrive every 25 ms on average, i.e. alternately 12 and 13 ticks apart.
     for tick in range(1, 10_001):
         frame = tick % 25 in (0, 12)
         seen = observer.update(seen, np.zeros(3), np.zeros(3) if frame else None, 0.0)
@@ -114,7 +115,7 @@ def test_observed_tip_follows_the_model_in_a_tracker_drop_out_and_its_uncertaint
 
     assert np.all(np.diff(grown) > 0.0)
     assert grown[-1] > 10.0 * before
-    np.testing.assert_allclose(bench.error, 0.0, atol=1e-5)  # 40 mm further on
+    np.testing.assert_allclose(bench.error, 0.0, atol=1e-5)  # the tip has moved on by 40 mm meanwhile
     bench.run(1.0)
     assert bench.seen.uncertainty < 2.0 * before
 
@@ -131,7 +132,7 @@ def test_observer_rejects_a_jump_of_the_tip_and_accepts_it_when_it_lasts():
     np.testing.assert_allclose(bench.error, 0.0, atol=2e-4)
 
     bench.jump = np.array([5e-3, 0.0, 0.0])
-    bench.run(0.5)  # twenty frames that agree
+    bench.run(0.5)  # 20 frames that agree with each other
     assert bench.error[0] == pytest.approx(5e-3, abs=5e-4)
 
 

@@ -19,7 +19,7 @@ def direction(random) -> np.ndarray:
 
 
 def target(rate: float, seed: int, heart: float = 0.5e-3, second: float = 0.15, drift: float = 0.05):
-    """Return target positions: breathing of 5 mm with a harmonic and a heartbeat of 1.2 Hz, both slowly varying."""
+    """Return target positions: breathing of 5 mm with a harmonic, and a heartbeat of 1.2 Hz; both vary slowly."""
     random = np.random.default_rng(seed)
     breath, beat, phases = direction(random), direction(random), random.uniform(0.0, 2.0 * np.pi, 4)
 
@@ -36,7 +36,7 @@ def target(rate: float, seed: int, heart: float = 0.5e-3, second: float = 0.15, 
 
 
 def predicted(predictor, at, duration=40.0, seed=0, lost=()):
-    """Errors (frames,) [m] of the prediction `LEAD` after each frame, the frames' times, and the last state."""
+    """Return the frames' times, errors (frames,) [m] of the prediction `LEAD` after each frame, and the last state."""
     random, times = np.random.default_rng(seed), FRAME * np.arange(round(duration / FRAME))
     known, errors = predictor.start(at(0.0), 0.0), []
     for time in times[1:]:
@@ -54,10 +54,11 @@ def test_predictor_finds_the_rates_and_predicts_within_the_frames_noise(rate, se
     times, errors, known = predicted(waves, target(rate, seed), seed=seed)
 
     found = waves.rates(known)
-    assert found[0] == pytest.approx(rate, rel=0.08)  # the rates drift by 5 %
+    assert found[0] == pytest.approx(rate, rel=0.08)  # tolerance: the rates drift by 5 %
     assert found[1] == pytest.approx(1.2, rel=0.08)
     settled = errors[times > 15.0]
-    assert np.sqrt(np.mean(settled**2)) < math.sqrt(3.0) * NOISE  # better than a frame of now would be
+    # the prediction has a smaller error than a frame without latency would have
+    assert np.sqrt(np.mean(settled**2)) < math.sqrt(3.0) * NOISE
     assert settled.max() < 0.5e-3
 
 
@@ -107,7 +108,8 @@ def test_predictor_finds_a_moved_target_again():
 
     times, errors, _ = predicted(Waves(), at)
 
-    assert errors[(times > 20.0) & (times < 20.1)].max() > 5e-3  # a single frame does not move the prediction
+    # a single frame after the jump does not move the prediction
+    assert errors[(times > 20.0) & (times < 20.1)].max() > 5e-3
     assert errors[(times > 22.0) & (times < 25.0)].max() < 2e-3
     assert errors[times > 35.0].max() < 0.6e-3
 
@@ -169,7 +171,7 @@ def test_single_predictor_filter_equals_filterpys_extended_kalman_filter():
 
 
 def _predict(theirs: ExtendedKalmanFilter, listed, waves: Waves) -> None:
-    """Matrices of the predictor's model, as filterpy needs them."""
+    """Do the prediction step of the predictor's model with filterpy's matrices."""
     turn = 2.0 * math.pi
     drifts = [waves.centre_drift**2] * 3 + [waves.floor**2] * 18 + [(turn * waves.rate_drift) ** 2] * 2
     theirs.P = theirs.P + FRAME * np.diag(drifts)

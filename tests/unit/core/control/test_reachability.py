@@ -74,10 +74,10 @@ def test_path_out_of_reach_is_refused_at_any_speed_with_the_singular_pose(model)
 def test_motion_beyond_a_joints_travel_is_refused_with_the_travel_and_the_time(model):
     text = refusal(model, Sinusoid((0.0, 0.0, 1.0), 0.050, 0.01), 100.0)
 
-    # z goes with the translation, which has 30 mm left inward and 95 mm outward
+    # The tip's z follows the translation, which can still move 30 mm inward and 95 mm outward.
     assert "travel of inner_translation (-0.13 m)" in text
     time = float(text.split(" at ")[1].split(" s ")[0])
-    assert 50.0 < time < 75.0  # the half wave down
+    assert 50.0 < time < 75.0  # the time of the downward half wave
 
 
 def test_reachability_check_ignores_the_path_after_the_end_of_the_motion(model):
@@ -94,7 +94,7 @@ def test_motion_out_of_the_workspace_is_refused_with_the_workspace_bound(model):
 
 
 def test_load_that_the_joints_cannot_compensate_is_refused(model):
-    """Stretched tubes cannot bend back against a pull that bends them further."""
+    """Both tubes already bend fully toward -y, so they cannot compensate for a load along +y."""
     straight = np.array([0.0, 0.0, -0.05])
 
     def pull(time: float) -> np.ndarray:
@@ -129,4 +129,4 @@ def test_reachability_check_of_a_long_periodic_motion_ends_after_one_period(mode
 
     check_reach(model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), 86_400.0)
 
-    assert len(solves) < 1100  # one period of 20 s
+    assert len(solves) < 1100  # only one period of 20 s is checked

@@ -18,7 +18,7 @@ def sensors() -> Sensors:
 
 
 def reading(exerted: np.ndarray) -> np.ndarray:
-    """Readings (2, 6) of the sensors for wrenches (2, 6) of their tubes."""
+    """Return the readings (2, 6) of the sensors for wrenches (2, 6) that act on their tubes."""
     rows = []
     for i in range(2):
         down = Rotation.from_euler("z", ALPHA[i]).inv().apply(DOWN)

@@ -1,4 +1,4 @@
-"""Streamed setpoint compared with analytic motions of bounded speed and acceleration."""
+"""The streamed setpoint is compared with analytic motions of bounded speed and acceleration."""
 
 import math
 
@@ -14,7 +14,7 @@ STILL = np.zeros(3)
 
 
 def follow(tip: StreamedTip, request, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities (k, 3) of the setpoint; `request` gives the request at a time."""
+    """Return positions and velocities (k, 3) of the setpoint; `request(time)` returns the request at a time."""
     setpoints = [tip.advance(PERIOD * k, request(PERIOD * k), PERIOD) for k in range(round(seconds / PERIOD))]
     return np.array([s.position for s in setpoints]), np.array([s.velocity for s in setpoints])
 
@@ -38,7 +38,7 @@ def test_setpoint_reaches_a_jumping_requested_position_within_its_bounds_without
     assert kept(velocities)
     assert positions[:, 0].max() <= 0.030 + 1e-9
     assert positions[-1] == pytest.approx(position, abs=1e-7)
-    # 1.7 s with the full deceleration: both ramps take 0.2 s and 2 mm
+    # The motion takes 1.7 s with the full acceleration: both ramps take 0.2 s and 2 mm.
     arrived = PERIOD * np.argmax(positions[:, 0] > 0.0299)
     assert 1.6 < arrived < 2.0
 
@@ -69,7 +69,7 @@ def test_setpoint_without_requests_comes_to_rest_as_soon_as_possible():
     follow(tip, lambda t: SetpointRequest(None, np.array([0.020, 0.0, 0.0]), t, 0.1), 1.0)
     positions, _ = follow(tip, lambda _: None, 0.5)
 
-    # speed^2 / (2 a), within the distance of one period
+    # The braking distance is speed^2 / (2 a), within the distance of one period.
     assert positions[-1, 0] - positions[0, 0] == pytest.approx(0.002, abs=2 * 0.020 * PERIOD)
     assert tip.speed == 0.0
 
@@ -78,7 +78,7 @@ def test_requested_position_is_extrapolated_for_its_time_and_is_the_goal_again_a
     velocity = np.array([0.010, 0.0, 0.0])
     positions, _ = follow(StreamedTip(DEFAULT_MOTION_BOUNDS), lambda _: SetpointRequest(STILL, velocity, 0.0, 0.5), 3.0)
 
-    # 10 mm/s for 0.5 s, and the braking distance
+    # The setpoint moves at 10 mm/s for 0.5 s, and by its braking distance.
     assert 0.004 < positions[:, 0].max() < 0.010 * 0.5 + 0.010**2 / (2 * 0.100) + 1e-6
     assert positions[-1] == pytest.approx(STILL, abs=1e-6)
 
@@ -130,7 +130,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def pointed(requested, seconds: float, tip: StreamedTip | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Streamed directions and their angular velocities (k, 3); `requested` gives the direction at a time or None."""
+    """Return directions and angular velocities (k, 3); `requested(time)` returns the requested direction or None."""
     tip = tip or StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP)
     directions, rates = [], []
     for k in range(round(seconds / PERIOD)):
@@ -144,7 +144,7 @@ def pointed(requested, seconds: float, tip: StreamedTip | None = None) -> tuple[
 
 
 def tilted(angle: float, about: float) -> np.ndarray:
-    """Direction tilted from z by `angle`, toward the azimuth `about` from x [rad]."""
+    """Return the direction that is tilted from z by `angle` [rad] toward the azimuth `about` [rad] from x."""
     return np.array([math.sin(angle) * math.cos(about), math.sin(angle) * math.sin(about), math.cos(angle)])
 
 
@@ -157,7 +157,7 @@ def turns_as_it_says(directions: np.ndarray, rates: np.ndarray) -> bool:
     assert norms(directions) == pytest.approx(np.ones(len(directions)), abs=1e-12)
     assert norms(rates).max() < FASTEST + 1e-12
     assert norms(np.diff(rates, axis=0, prepend=0.0)).max() < 5.0 * FASTEST * PERIOD * (1.0 + 1e-3)
-    # the speed of a unit vector is its angular velocity times itself, here between two ticks
+    # The velocity of a unit vector is the cross product of its angular velocity and the vector, here between two ticks.
     moved = np.diff(directions, axis=0) / PERIOD
     means = np.cross(0.5 * (rates[1:] + rates[:-1]), 0.5 * (directions[1:] + directions[:-1]))
     return bool(np.abs(moved - means).max() < 1e-6)
@@ -172,7 +172,7 @@ def test_requested_direction_is_reached_along_the_shortest_arc_within_the_bounds
     # The direction never leaves the arc, turns back or overshoots.
     assert np.abs(directions @ np.cross(UP, requested)).max() < 1e-6
     assert (np.diff(angles(directions, requested)) < 1e-9).all()
-    # 1 rad at 0.2 rad/s, with a ramp of 0.2 s at either end and an exponential end
+    # The rotation by 1 rad at 0.2 rad/s has a ramp of 0.2 s at both ends and an exponential approach.
     arrived = PERIOD * np.argmax(angles(directions, requested) < 1e-3)
     assert 5.1 < arrived < 5.6
 
@@ -182,7 +182,7 @@ def test_new_requested_direction_during_a_rotation_is_approached_from_the_presen
     directions, rates = pointed(lambda t: one if t < 1.5 else other, 8.0)
 
     assert turns_as_it_says(directions, rates)
-    assert angles(directions[749], one) > 0.1  # not there yet
+    assert angles(directions[749], one) > 0.1  # the first rotation is not finished at 1.5 s
     assert directions[-1] == pytest.approx(other, abs=1e-7)
 
 
@@ -194,7 +194,7 @@ def test_opposite_requested_direction_is_reached_by_half_a_turn(off: float) -> N
     assert np.isfinite(directions).all()
     assert turns_as_it_says(directions, rates)
     assert directions[-1] == pytest.approx(requested, abs=1e-6)
-    # half a turn and no more, although at the start all directions of rotation are equally long
+    # The direction turns by half a turn and no more, although at the start all rotations are equally long.
     assert norms(rates).sum() * PERIOD == pytest.approx(math.pi, abs=2e-3)
     if off > 1e-7:
         assert np.abs(directions @ np.array([-math.sin(0.3), math.cos(0.3), 0.0])).max() < 1e-4
@@ -207,7 +207,7 @@ def test_slowly_moving_requested_direction_is_followed_within_the_expected_lag()
 
     assert turns_as_it_says(directions, rates)
     desired = np.array([tilted(rate * PERIOD * (k + 1), 0.0) for k in range(len(directions))])
-    # the error decays at 20 /s, and the newest request is up to 20 ms old
+    # The error decays with a rate of 20 /s, and the newest request is up to 20 ms old.
     assert angles(directions, desired)[500:].max() < rate * (1.0 / 20.0 + 0.025)
 
 
@@ -218,7 +218,7 @@ def test_streamed_direction_without_requests_comes_to_rest_and_stays() -> None:
     after, rates = pointed(lambda _: None, 1.0, tip)
 
     assert tip.turning == 0.0
-    # rate^2 / (2 a), within the angle of one period
+    # The braking angle is rate^2 / (2 a), within the angle of one period.
     assert angles(before[-1], after[-1]) == pytest.approx(0.02, abs=2 * FASTEST * PERIOD)
     assert not rates[-200:].any()
 

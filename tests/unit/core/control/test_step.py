@@ -42,13 +42,13 @@ class Plant:
     def __init__(self, robot, joints=POSE) -> None:
         self.rod, self.robot, self.joints = ExactRod(robot), robot, joints.copy()
         self.sent, self.force = np.zeros(3), np.zeros(3)
-        self.seen = np.zeros(3)  #: the tip at the last sample
+        self.seen = np.zeros(3)  #: true tip at the last sample [m]
 
     def tip(self) -> np.ndarray:
         return self.rod.solve(self.joints, np.r_[self.force, np.zeros(3)]).tip
 
     def sample(self, frame: bool = True) -> Sample:
-        """Wrenches of the base sensors when the outer tube carries the whole load, in its axes."""
+        """Return a sample of all sensors; the outer tube carries the whole load, in the axes of this tube."""
         tip, angle = self.tip(), self.joints[0]
         self.seen = tip
         turn = np.array([[math.cos(angle), math.sin(angle), 0], [-math.sin(angle), math.cos(angle), 0], [0, 0, 1.0]])
@@ -82,7 +82,7 @@ def pull(time: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def pulled(paper_robot):
-    """Ticks and tips of the default controller under a varying load."""
+    """Return ticks and tips of the default controller under a varying load."""
     return run(controller(paper_robot), Plant(paper_robot), 4.0, force=pull)
 
 

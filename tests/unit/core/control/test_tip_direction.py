@@ -1,4 +1,4 @@
-"""Direction task: its rows compared with the exact rod, and its control."""
+"""The direction task's rows are compared with the exact rod, and its control is tested."""
 
 import math
 from dataclasses import replace
@@ -57,7 +57,7 @@ class Plant:
         return Sample(self.joints.copy(), self.sent, wrenches, tip, 0.0, axis)
 
     def off(self, direction=None) -> tuple[float, float]:
-        """Distance [m] and angle [rad] from the pose at rest, or from another direction."""
+        """Return the distance [m] and the angle [rad] from the pose at rest, or the angle from `direction` if given."""
         desired = self.rest.rotation[:, 2] if direction is None else direction
         return float(np.linalg.norm(self.now.tip - self.rest.tip)), float(
             np.linalg.norm(shortest_rotation(self.now.rotation[:, 2], desired))

@@ -25,7 +25,7 @@ from station.config.robots import load_robot
 #: Start pose of the experiment `fig8`, and the tip in this pose.
 JOINTS = np.array([0.0, 0.5 * math.pi, -0.1])
 TIP = np.array([0.0246, -0.0415, 0.1939])
-#: Bandwidth at which the filter passes all noise: the covariance is that of single samples.
+#: Bandwidth at which the filter passes all noise, so the covariance is that of single samples.
 WIDE = 1e6
 #: Sensor errors that consist of noise alone: no drift, no gain error, and an exact lever.
 NOISE = SensorErrors(force_drift=0.0, moment_drift=0.0, gain=1e-9, lever=0.0)
@@ -42,7 +42,7 @@ def cross(v: np.ndarray) -> np.ndarray:
 
 
 def placed(robot: Robot, joints: np.ndarray) -> list[np.ndarray]:
-    """(6, 6) for each sensor: a reading -> the wrench about the world's origin, world axes."""
+    """Return a (6, 6) matrix per sensor that maps a reading to the wrench about the world's origin in world axes."""
     found = []
     for alpha, beta in zip(*robot.tube_poses(joints), strict=True):
         turn = np.array([[math.cos(alpha), -math.sin(alpha), 0.0], [math.sin(alpha), math.cos(alpha), 0.0], [0, 0, 1]])
@@ -53,7 +53,7 @@ def placed(robot: Robot, joints: np.ndarray) -> list[np.ndarray]:
 
 
 def readings(robot: Robot, force: np.ndarray, at: np.ndarray, internal: np.ndarray) -> np.ndarray:
-    """Readings (q, 6) of the sensors for a force at a point and a wrench (6,) between the two tubes."""
+    """Return the sensors' readings (q, 6) for a force at the point `at` and a wrench (6,) between the two tubes."""
     load = np.r_[force, np.cross(at, force)]
     return np.array(
         [np.linalg.solve(m, w) for m, w in zip(placed(robot, JOINTS), (internal, load - internal), strict=True)]
@@ -137,7 +137,7 @@ def test_load_on_the_shaft_gives_the_sum_of_forces_and_the_transition_is_continu
     found, misfits = [], []
     for part in parts:
         last = narrow.start(np.zeros(3), 1.0)
-        for _ in range(200):  # 0.4 s: the mismatch is an average
+        for _ in range(200):  # 0.4 s, because the mismatch is averaged
             now = np.empty((5, 3))
             wrenches = readings(robot, force, part * TIP, np.zeros(6))
             estimate_force(narrow.settings, 0.002, robot.layout, JOINTS, wrenches, TIP, last, now)
@@ -148,8 +148,9 @@ def test_load_on_the_shaft_gives_the_sum_of_forces_and_the_transition_is_continu
     np.testing.assert_allclose(found[0], force, rtol=0, atol=1e-9)
     assert misfits[0] < 1e-6
     assert misfits[-1] > 10.0 * FITS
-    np.testing.assert_allclose(found[-1], force, rtol=0, atol=0.01)  # the sum of the forces
-    assert np.abs(np.diff(found, axis=0)).max() < 0.06  # no jump between the two
+    # far from the tip the estimate is the sum of the sensors' forces
+    np.testing.assert_allclose(found[-1], force, rtol=0, atol=0.01)
+    assert np.abs(np.diff(found, axis=0)).max() < 0.06  # the estimate does not jump between both methods
 
 
 @pytest.mark.parametrize("missing", [(math.inf, math.inf), math.inf])

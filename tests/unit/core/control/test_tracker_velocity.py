@@ -9,9 +9,9 @@ PERIOD = 0.002
 
 
 def velocities(places, times, ages, ticks, by_joints=0.0):
-    """Along x, tick by tick, the joints moving the tip at `by_joints` [m/s].
+    """Return the velocities along x at each tick, while the joints move the tip at `by_joints` [m/s].
 
-    A frame of `places` is taken at `times` and arrives `ages` later [s].
+    Frame k has the position `places[k]` [m] along x, is measured at `times[k]` [s] and arrives `ages[k]` [s] later.
     """
     seen, tip, found, waiting = NO_FRAMES, np.zeros(3), [], list(zip(places, times, ages, strict=True))
     for number in range(1, ticks + 1):

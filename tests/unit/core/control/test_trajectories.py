@@ -130,7 +130,8 @@ def test_sinusoid_has_its_amplitude_along_a_direction_vector_of_any_length(lengt
 def test_a_circle_keeps_its_radius_its_plane_and_its_speed_and_turns_once_about_its_normal(normal):
     radius, period = 0.010, 20.0
     motion, axis = Circle(radius, period, normal), np.array(normal) / np.linalg.norm(normal)
-    centre = 0.5 * motion.setpoint(period / 2).position  # opposite the start
+    # half a period after the start the setpoint is opposite the start
+    centre = 0.5 * motion.setpoint(period / 2).position
 
     for time in TIMES:
         position, velocity = motion.setpoint(time)[:2]

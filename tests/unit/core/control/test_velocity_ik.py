@@ -14,7 +14,7 @@ SPEED = np.array([0.35, 0.35, 0.020])
 
 
 def damped(jacobian, desired, speed) -> tuple[np.ndarray, np.ndarray]:
-    """The stacked least-squares problem in v / speed, damped below the floor (Nakamura and Hanafusa)."""
+    """Return the least-squares problem in v / speed, damped near singular poses as by Nakamura and Hanafusa."""
     scaled = jacobian * speed
     smallest = np.linalg.svd(scaled, compute_uv=False)[-1]
     floor = max(SIGMA_FLOOR_M_S, math.sqrt(ADAPTIVE_DAMPING_M_S * np.linalg.norm(desired)))
@@ -106,7 +106,7 @@ def test_joint_velocities_at_a_singular_pose_stay_bounded_and_reachable_motion_c
     random = np.random.default_rng([44, rank])
     left, right = np.linalg.qr(random.normal(size=(3, 3)))[0], np.linalg.qr(random.normal(size=(3, 3)))[0]
     jacobian = left @ np.diag([0.010] * rank + [0.0] * (3 - rank)) @ right.T / SPEED
-    desired = left @ np.full(3, 1e-3)  # equal in each direction, reachable or not
+    desired = left @ np.full(3, 1e-3)  # the desired velocity is equal in each direction, reachable or not
     endless = 1e6 * SPEED
 
     found = inverse(jacobian, desired, SPEED, -endless, endless)
@@ -123,7 +123,7 @@ def test_joint_velocities_are_bounded_by_the_damping_near_the_aligned_pose_of_th
         jacobian = model.solve(np.array([0.0, apart, -0.1]), np.zeros(6)).jacobian[:3]
         for direction in np.eye(3):
             velocity = inverse(jacobian, 1e-3 * direction, SPEED, -endless, endless).velocity
-            # |v / speed| <= |desired| / floor: sigma / (sigma^2 + damping^2) is never more than 1 / floor
+            # |v / speed| <= |desired| / floor, because sigma / (sigma^2 + damping^2) is at most 1 / floor.
             assert np.linalg.norm(velocity / SPEED) <= 1e-3 / SIGMA_FLOOR_M_S * (1 + 1e-9)
 
 
@@ -172,7 +172,7 @@ def test_velocity_inverse_with_limits_of_several_joints_is_optimal_among_feasibl
         assert (np.abs(found.velocity) <= speed).all()
         at = found.velocity / speed
         np.testing.assert_allclose((rows @ found.velocity)[found.at_row > 0], room[found.at_row > 0], atol=1e-9)
-        # Optimal where no feasible direction leads downhill (the problem is convex).
+        # A point is optimal if no feasible direction decreases the cost, because the problem is convex.
         gradient = matrix.T @ (matrix @ at - right)
         for _ in range(200):
             other = random.uniform(-1.0, 1.0, joints)
@@ -184,7 +184,7 @@ def test_velocity_inverse_with_limits_of_several_joints_is_optimal_among_feasibl
 
 
 def test_limit_row_with_bound_zero_blocks_its_direction_and_no_other():
-    wall = JACOBIAN[2:]  # z may not grow
+    wall = JACOBIAN[2:]  # z must not increase
 
     found = inverse(JACOBIAN, np.array([1e-3, 0.0, 1e-3]), SPEED, -SPEED, SPEED, wall, np.zeros(1))
 

@@ -31,7 +31,7 @@ def wander(count):
 
 
 def same(found, alone):
-    """Compare up to the last digits: code compiled into a loop may round differently."""
+    """Check that values are equal except for the last digits: code compiled into a loop may round differently."""
     np.testing.assert_allclose(found, alone, rtol=1e-7, atol=1e-11)
 
 

@@ -64,12 +64,12 @@ def test_a_large_tip_force_bends_a_straight_tube_into_the_elastica(one_tube):
 
     rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.0, -0.05]), np.array([force, 0.0, 0.0, 0.0, 0.0, 0.0]))
 
-    assert x > 0.4 * length  # a large deflection
+    assert x > 0.4 * length  # the deflection is large: 40 % of the length
     np.testing.assert_allclose(rod.tip, [x, 0.0, z], rtol=0, atol=1e-8)
 
 
 def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differences):
-    """Maxwell and Betti: the compliance of an elastic body under a conservative load is symmetric."""
+    """By Maxwell and Betti, the compliance of an elastic body under a conservative load is symmetric."""
     for joints, wrench in poses(seed=22, count=5, force=0.5):
         _, compliance = differences(ExactRod(paper_robot, tolerance=1e-11), joints, wrench)
         np.testing.assert_allclose(compliance, compliance.T, rtol=0, atol=2e-5 * np.abs(compliance).max())

@@ -1,4 +1,4 @@
-"""A tube whose end is flush with that of the tube around it: links without a length, a tip that two tubes share."""
+"""Two tubes whose ends are flush: the model then has links of zero length, and both tubes share the tip."""
 
 import math
 from dataclasses import replace
@@ -17,7 +17,7 @@ WRENCH = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
 
 @pytest.fixture
 def drawn_in(paper_robot):
-    """The inner tube is retracted until both tubes end at 165 mm; the sum of its lengths rounds to less than that."""
+    """Return joints at which both tubes end at 165 mm; the inner tube's lengths sum to slightly less by rounding."""
     joints = np.array([0.4, 1.9, 0.165 - 0.303])
     _, beta = paper_robot.tube_poses(joints)
     assert abs(beta[0] + paper_robot.tubes[0].length - paper_robot.tubes[1].length) < 1e-15
@@ -42,7 +42,7 @@ def test_the_jacobian_of_flush_tubes_matches_extending_the_inner_tube(
     found = Statics(paper_robot, sublink, integrator).solve(drawn_in + rounding * SLIDE, WRENCH)
     exact, step = ExactRod(paper_robot, tolerance=1e-12), 1e-4
     at = [exact.solve(drawn_in + k * step * SLIDE, WRENCH).tip for k in range(3)]
-    slide = (-3.0 * at[0] + 4.0 * at[1] - at[2]) / (2.0 * step)  # one-sided, second order
+    slide = (-3.0 * at[0] + 4.0 * at[1] - at[2]) / (2.0 * step)  # one-sided difference of second order
     np.testing.assert_allclose(found.jacobian[:3, 2], slide, rtol=0, atol=2e-3)
     for k in (0, 1):
         turn = 1e-5 * np.eye(3)[k]
@@ -53,7 +53,7 @@ def test_the_jacobian_of_flush_tubes_matches_extending_the_inner_tube(
 def test_fixed_flush_tubes_act_like_one_tube_of_their_mean_curvature():
     """Two equal tubes at a relative angle of 0.6 rad without torsion: each bends as the mean of both precurvatures.
 
-    Curved all along, so that nothing twists where GJ is far above EI.
+    The tubes are curved along their whole length, so nothing twists where GJ is far above EI.
     """
     bent = Section(0.1, (8.0, 0.0))
     inner = Tube("inner", (bent,), 0.04, -0.999, 1e-3, 0.5e-3, rotation=0.6)
@@ -61,7 +61,7 @@ def test_fixed_flush_tubes_act_like_one_tube_of_their_mean_curvature():
     robot = Robot("two", (inner, outer), (Joint("outer_rotation", 1, "rotation"),))
     kappa = 8.0 * math.cos(0.3)
     radius, angle = 1.0 / kappa, 0.1 * kappa
-    # A precurvature (1/r, 0) bends toward -y; rotated by 0.3 rad.
+    # A precurvature (1/r, 0) bends toward -y; the mean curvature is rotated by 0.3 rad.
     aside = radius * (1.0 - math.cos(angle))
     tip = [aside * math.sin(0.3), -aside * math.cos(0.3), radius * math.sin(angle)]
     solved = Statics(robot, integrator="fourth_order").solve(np.zeros(1), np.zeros(6))

@@ -1,4 +1,4 @@
-"""The integrator for long sub-links, and the paper's Euler form in comparison."""
+"""The fourth-order integrator for long sub-links, compared with the paper's Euler form."""
 
 import numpy as np
 import pytest

@@ -45,7 +45,7 @@ def test_a_small_transverse_force_bends_a_straight_tube_by_f_l3_over_3_ei(one_tu
 
     assert solution.tip[axis] == pytest.approx(force * length**3 / (3 * 0.04), rel=3e-4)
     assert solution.compliance[axis, axis] == pytest.approx(length**3 / (3 * 0.04), rel=3e-4)
-    # The end rotates about the other axis: y for a force along x, -x for one along y.
+    # The end rotates about the other axis: about y for a force along x, about -x for a force along y.
     turn = solution.compliance[3 + 1 - axis, axis] * (1 if axis == 0 else -1)
     assert turn == pytest.approx(length**2 / (2 * 0.04), rel=3e-4)
 
@@ -118,7 +118,7 @@ class TestShape:
     def test_the_part_behind_the_plate_has_twisted_each_tube(self, shape):
         twist_inner, twist_outer = shape[0, 15:17]
 
-        assert abs(twist_inner) > 0.1  # large enough to be significant
+        assert abs(twist_inner) > 0.1  # the twist is large enough for a meaningful test
         np.testing.assert_allclose(shape[0, 13:15], [2.0 + 0.075 * twist_inner, 0.6], rtol=0, atol=1e-12)
         assert twist_outer != 0.0
 

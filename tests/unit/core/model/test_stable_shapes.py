@@ -1,4 +1,4 @@
-"""A cold solve always finds a shape; it is stable, and it is the one that the robot reaches from rest."""
+"""A cold solve always finds a stable shape, and this is the shape that the robot reaches from rest."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ LOADED_POSES = (19, 381, 585, 684, 703, 761, 816, 1074, 1264)
 
 
 def pair(steepness: float) -> Robot:
-    """Two equally curved tubes with (1 + nu) u^2 L^2 = `steepness`."""
+    """Return two equally curved tubes with (1 + nu) u^2 L^2 = `steepness`."""
     section = Section(0.1, (math.sqrt(steepness / 1.3) / 0.1, 0.0))
     inner = Tube("inner", (section, Section(1e-3)), 0.02, outer_diameter=1e-3, inner_diameter=0.5e-3)
     return Robot("pair", (inner, Tube("outer", (section,), 0.04, inner_diameter=1.5e-3)), TURN)
@@ -51,7 +51,7 @@ class TestNegativeDirections:
 
     @pytest.mark.parametrize(("steepness", "count"), [(2.3, 0), (2.6, 1), (21.0, 1), (23.5, 2)])
     def test_opposed_tubes_have_one_negative_direction_per_odd_quarter_wave(self, steepness, count):
-        """Without twist, theta'' = -(k^2) theta with k L = sqrt(steepness): one more at pi / 2, 3 pi / 2, ..."""
+        """For theta'' = -(k^2) theta (no twist), k L = sqrt(steepness), the count rises at pi / 2, 3 pi / 2, ..."""
         model, joints = Statics(pair(steepness), 0.0025), np.array([math.pi, 0.0])
         untwisted = model.solve(joints, UNLOADED, at_rest(joints, math.inf, 2))
 
@@ -112,7 +112,8 @@ class TestColdStarts:
         found = Statics(one_tube(Section(0.2)), FINE).solve(np.array([0.0, -0.05]), wrench)
 
         assert np.hypot(*found.tip[:2]) > 0.05
-        assert found.stability == pytest.approx(0.0, abs=1e-6)  # neutral: it may bend to any side
+        # the equilibrium is neutral, because the tube may buckle to any side
+        assert found.stability == pytest.approx(0.0, abs=1e-6)
 
 
 class TestRelaxation:

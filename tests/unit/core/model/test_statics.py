@@ -86,7 +86,7 @@ class TestExactTips:
 
 class TestDerivatives:
     def test_jacobian_and_compliance_match_an_independent_prototype(self, paper_robot):
-        """Numbers of an independent prototype, by re-solved central differences."""
+        """The expected numbers are central differences of re-solved tips of an independent prototype."""
         joints, wrench = np.array([0.0, np.pi / 2, -0.075]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
         jacobian = [
             [0.042281, 0.005308, 0.255580],
@@ -155,7 +155,7 @@ class TestDerivatives:
             medians.append(np.median(asymmetry))
             assert max(asymmetry) < 2e-3 * (sublink / 0.010) ** 2
         np.testing.assert_allclose(np.divide(medians[:-1], medians[1:]), 4.0, rtol=0.1)
-        assert medians[0] > 1e-4  # an artificially symmetric block would hide the scheme's error
+        assert medians[0] > 1e-4  # a block that was made symmetric would hide the scheme's error
 
     def test_the_sensitivity_is_the_derivative_of_the_base_unknowns(self, paper_robot):
         model = Statics(paper_robot)
@@ -173,7 +173,7 @@ class TestDerivatives:
 
 
 class TestSymmetry:
-    """Rotating robot and load about z rotates the result: an identity of the physics, not of the integrator."""
+    """Rotating robot and load about z must rotate the result; physics implies this, but the integrator does not."""
 
     @pytest.mark.parametrize("angle", [0.7, -2.9, 2 * math.pi])
     def test_turning_both_tubes_and_the_load_turns_tip_and_derivatives(self, paper_robot, poses, angle):

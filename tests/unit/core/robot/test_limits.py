@@ -161,7 +161,7 @@ def test_tubes_that_could_pass_each_other_have_one_order_row_each(three_tubes):
     order.check(at(-0.05, -0.03, -0.01))
     rows, room = order.rows(at(-0.05, -0.03, -0.01))
     assert (room > 0.0).all()
-    # stages receive commands one at a time: half a millimetre before the edge no approach is allowed
+    # Stages receive commands one at a time, so within half a millimetre of the edge no approach is allowed.
     assert order.rows(at(-0.0304, -0.03, -0.01))[1].min() == 0.0 < order.rows(at(-0.0306, -0.03, -0.01))[1].min()
     with pytest.raises(
         PoseError, match=r"tube order is violated by 10 mm; required: start of tube 'a' behind that of tube 'b'"
@@ -169,7 +169,7 @@ def test_tubes_that_could_pass_each_other_have_one_order_row_each(three_tubes):
         order.check(at(-0.02, -0.03, -0.01))
     with pytest.raises(PoseError, match=r"violated by 20 mm; required: end of tube 'a' beyond that of tube 'b'"):
         order.check(at(-0.15, -0.03, -0.01))
-    # Where tube a has reached tube b, a may not move further alone, but together with b.
+    # When tube a has reached tube b, tube a must not move further alone; both tubes may move together.
     rows, room = order.rows(at(-0.03, -0.03, -0.01))
     alone, together = np.zeros(6), np.zeros(6)
     alone[slides[0]] = together[slides[0]] = together[slides[1]] = 0.001
@@ -204,7 +204,7 @@ def test_a_workspace_slows_the_tip_only_toward_its_faces():
     box = Workspace((-0.1, -0.1, 0.1), (0.1, 0.1, 0.3))
     rows, room = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.299)))
 
-    assert (rows @ np.array([0.0, 0.0, 0.01]) > room).any()  # 1 mm left: not at 10 mm/s
+    assert (rows @ np.array([0.0, 0.0, 0.01]) > room).any()  # 1 mm before the face a speed of 10 mm/s is too fast
     assert (rows @ np.array([0.0, 0.0, 0.003]) <= room).all()
     assert (rows @ np.array([0.0, 0.0, -0.02]) <= room).all()
     outside = box.rows(situation((0.0, 0.0, 0.0), np.eye(3), tip=(0.0, 0.0, 0.31)))[1]
@@ -237,7 +237,7 @@ def test_the_active_limits_are_named_with_value_and_unit():
         "force on the tip (0.5 N)",
     )
     assert limits.active(joints, np.zeros(2), np.zeros(1)) == ()
-    # a command without limits of several joints
+    # This command has no limits that involve several joints.
     assert Limits((TURN, SLIDE)).active(joints, np.zeros(2), np.zeros(0)) == ()
 
 

@@ -16,7 +16,7 @@ TURN = (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation"))
 
 
 def pair(steepness: float, straight: float = 0.0, length: float = 0.1) -> Robot:
-    """Two equally curved tubes with (1 + nu) u^2 L^2 = `steepness` behind straight lengths [m]."""
+    """Return two equally curved tubes with straight parts of `straight` [m]; (1 + nu) u^2 L^2 = `steepness`."""
     curved = Section(length, (math.sqrt(steepness / 1.3) / length, 0.0))
     sections = (Section(straight), curved) if straight else (curved,)
     inner = Tube("inner", (*sections, Section(1e-3)), 0.02, outer_diameter=1e-3, inner_diameter=0.5e-3)
@@ -26,7 +26,7 @@ def pair(steepness: float, straight: float = 0.0, length: float = 0.1) -> Robot:
 
 class TestSnapNumber:
     def test_the_snap_number_of_the_papers_tubes_with_adjacent_curves_is_the_closed_form(self, paper_robot):
-        """l k tan(k L) with the straight lengths l weighted by the other tube's stiffness: about 0.33."""
+        """It is l k tan(k L), about 0.33; l is the mean straight length, weighted by the other tube's stiffness."""
         weighted = (0.012 * 0.0413 + 0.150 * 0.048) / (0.0413 + 0.048)
         k = math.sqrt(1.3) * 4.0
         expected = weighted * k * math.tan(k * 0.153)

@@ -1,4 +1,4 @@
-"""The largest tip force that tubes and sensors bear."""
+"""The largest tip force that tubes and sensors withstand."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def test_the_moment_range_of_the_base_sensors_bounds_the_force_on_the_paper_s_ro
     robot, joints = paper.robot(), paper.limits().joints
     bound = force_bound(robot, joints)
 
-    # 0.303 m of tube, at most 5 mm behind the plate; the outer tube carries 0.0480 of 0.0893 N m^2.
+    # The 0.303 m tube starts at least 5 mm behind the plate; the outer tube has 0.0480 of 0.0893 N m^2 stiffness.
     assert bound.newton == pytest.approx(LOAD_PART * 0.25 / (0.298 * 0.0480 / 0.0893))
     assert bound.reason == "the moment range of a base sensor"
     assert force_bound(robot, joints, (18.0, 0.125)).newton == pytest.approx(0.5 * bound.newton)

@@ -1,4 +1,4 @@
-"""One hundredth of the verification; core/README.md has its whole result."""
+"""One hundredth of the model's verification; core/README.md has the result of the whole verification."""
 
 import numpy as np
 import pytest

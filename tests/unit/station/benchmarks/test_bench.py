@@ -13,7 +13,7 @@ def test_model_benchmark_reports_times_and_the_distance_from_the_exact_rod():
     assert result["solves"] == 400
     assert 0.0 < result["solve_us"]["median"] <= result["solve_us"]["p99"]
     assert 1.0 <= result["passes"] <= 4.0
-    # the published accuracy of 10 mm sub-links: 0.041 mm in the mean, 0.114 mm at the worst of 20 000 poses
+    # The published error of 10 mm sub-links is 0.041 mm in the mean and 0.114 mm at the worst of 20 000 poses.
     assert 0.0 < result["accuracy_mm"]["mean"] < 0.08
     for start in ("cold", "warm"):
         assert result["many"][start]["per_core_and_s"] > 0

@@ -1,4 +1,4 @@
-"""Delays of setpoints, from invented times without a clock."""
+"""Delays of setpoints, computed from synthetic times without a clock."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from station.devices.zaber.protocol import MESSAGE_TIME_S
 
 
 def used(setpoint: list[int], received: list[float], desired: list[int], sent: list[int]) -> UsedSetpoint:
-    """Return ticks of one axis, every 2 ms from 1 s on."""
+    """Return ticks of one axis at intervals of 2 ms; the first tick is at 1 s."""
     count = len(setpoint)
     columns = np.array(desired)[:, None], np.array(sent)[:, None]
     return UsedSetpoint(1.0 + 0.002 * np.arange(count), np.array(setpoint), np.array(received), *columns)
@@ -19,8 +19,8 @@ def test_delay_of_a_setpoint_has_parts_for_server_tick_and_line():
     found = delays(np.array([1.0005]), ticks, [np.array([0.9, 1.0063, 1.03])])
 
     assert found.hearing == pytest.approx([0.0010])
-    assert found.tick == pytest.approx([0.0005])  # the tick at 1.002 knows it
-    assert found.line == pytest.approx([0.0043])  # the one at 1.006 has it sent
+    assert found.tick == pytest.approx([0.0005])  # the tick at 1.002 s uses the setpoint that was received at 1.0015 s
+    assert found.line == pytest.approx([0.0043])  # sent in the tick at 1.006 s; the line starts to transmit at 1.0063 s
     assert found.whole == pytest.approx([0.0058])
 
 

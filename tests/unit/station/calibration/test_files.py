@@ -60,7 +60,7 @@ def test_calibrated_robot_file_has_every_key_of_the_original_file(tmp_path: Path
         **paper | {"joints": tuple(joint | {"backlash": 1e-3} for joint in paper["joints"])},
         max_force=1.5, serial='A "7"', workspace=box, gripper=box, markers=(box, box),
     )  # fmt: skip
-    nothing: Any = None  # stands for the results of a fit that has changed no quantity
+    nothing: Any = None  # placeholder for the results of a fit that has changed no quantity
     found = TubeCalibration(described.robot(), nothing, (), nothing, nothing)
 
     made = "made \x1b here\nby poses.csv"

@@ -52,7 +52,7 @@ def test_stages_of_the_paper_preset_have_the_limits_of_the_papers_bench(paper):
 def test_microsteps_of_the_paper_preset_are_those_of_the_stages_data_sheets(paper):
     turn, turn_too, slide = (joint.microstep for joint in paper.joints)
 
-    # 3,072,000 microsteps span two turns of the T-RS60; the T-LSR300B steps 0.49609375 um.
+    # 3,072,000 microsteps are two turns of the T-RS60; a microstep of the T-LSR300B is 0.49609375 um.
     assert turn * 3_072_000 == pytest.approx(4.0 * math.pi, rel=1e-12)
     assert turn_too == turn
     assert slide == 0.49609375e-6

@@ -26,7 +26,7 @@ def limits(paper):
 
 
 class Made:
-    """Object with the given attributes."""
+    """Substitute for a data class: an object that has the given attributes."""
 
     def __init__(self, **attributes: Any) -> None:
         self.__dict__.update(attributes)
@@ -43,7 +43,7 @@ def tick(error: float, sigma: float = 0.01, at_bound=(0.0, 0.0, 0.0), joints=(0.
 
 
 def watch(limits, seconds: float, make) -> tuple[float, str]:
-    """Return the time [s] and the text at which the monitor ends the motion, or its whole duration and no text."""
+    """Return time [s] and text when the monitor ends the motion, or `seconds` and no text if it never does."""
     stall = ProgressMonitor()
     for number in range(round(seconds / FRAME)):
         text = stall.check(number * FRAME, make(number * FRAME), limits)

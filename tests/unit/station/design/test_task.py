@@ -1,4 +1,4 @@
-"""Evaluation of a task: the held loads are confirmed by the model and by the exact rod."""
+"""Evaluation of a task: model and exact rod confirm that the robot can hold the found loads."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def test_a_task_point_out_of_reach_is_reported_and_costs_more_when_farther():
     near, far_off = far(0.32), far(0.42)
     assert (near.load, near.nominal) == (0.0, None)
     assert "at point 1 without load: the tip stays" in near.why
-    # The straight robot is 298 mm long, and it is bent.
+    # The straight robot would be 298 mm long, but the robot is bent.
     assert 0.022 < near.distance < far_off.distance
     assert 0.0 < cost(near, "load") < cost(far_off, "load")
 

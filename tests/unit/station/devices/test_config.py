@@ -1,4 +1,4 @@
-"""`[devices]` of a station file: accepted and refused values, before anything is opened."""
+"""Table `[devices]` of a station file: accepted and refused values, before any device is opened."""
 
 import math
 import tomllib

@@ -12,7 +12,7 @@ from station.devices.mounting import mounted, transport
 
 @pytest.mark.parametrize("seed", range(5))
 def test_transformed_wrench_matches_the_force_at_the_same_point(seed):
-    """The same force at the same point, measured by the sensor and at the tube's end."""
+    """The sensor's wrench of a force, transformed to the tube's end, must equal the wrench of this force there."""
     random = np.random.default_rng(seed)
     position, vector, point, force = random.uniform(-0.1, 0.1, 3), random.uniform(-2, 2, 3), *random.normal(size=(2, 3))
     mount = Mount(position=tuple(position.tolist()), rotation_vector=tuple(vector.tolist()))

@@ -1,4 +1,4 @@
-"""Drivers by name: the built-in ones, and an installed one with a real server."""
+"""Drivers are found by name: the built-in drivers, and an installed driver that connects to a real server."""
 
 import socket
 import threading
@@ -50,7 +50,7 @@ def test_custom_tracker_is_found_and_tracks(install, paper):
             assert (reading.frame, reading.time) == (1, pytest.approx(0.976))
             assert reading.position == pytest.approx([0.010, -0.020, 0.1505])
             assert tracker.condition is Condition.CONNECTED
-            visitor.sendall(b"51.0\nnonsense\n3 nan 0 0\n")  # the rest of frame 2 comes in pieces
+            visitor.sendall(b"51.0\nnonsense\n3 nan 0 0\n")  # the second part of frame 2, then two malformed lines
             assert _until(tracker, 1.1).position == pytest.approx([0.0105, -0.020, 0.151])
             assert tracker.details()["malformed_lines"] == 1
             assert tracker.trouble(1.2) is None

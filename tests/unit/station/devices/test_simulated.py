@@ -1,4 +1,4 @@
-"""Devices that report that they are simulated make everything that is stored with them simulated."""
+"""If a device reports that it is simulated, all stored data of this bench are marked as simulated."""
 
 import pytest
 
@@ -23,7 +23,7 @@ def test_simulated_device_is_known_by_any_part_of_its_details(details: object, e
 
 
 def test_bench_is_simulated_by_what_its_devices_report_and_not_by_its_file(write) -> None:
-    """Drivers of a station's file may reach a virtual lab through pseudo-terminals."""
+    """The drivers in a station file may be connected to a virtual lab through pseudo-terminals."""
     supervisor = Supervisor(load_station(write(OWN_DEVICES)).bench())
     try:
         assert not supervisor.simulated

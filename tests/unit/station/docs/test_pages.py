@@ -34,7 +34,7 @@ def test_every_command_of_a_guide_is_accepted_by_the_command_line(page: Path):
     called = commands(page)
     assert called
     for words in called:
-        if words[0] == "serve":  # a command of the package web, which this parser does not have
+        if words[0] == "serve":  # the package web defines this command, so this parser does not have it
             assert set(words[1::2]) <= {"--config", "--calibration"}
             continue
         assert words[0] in known.choices

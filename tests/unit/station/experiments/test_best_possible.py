@@ -20,7 +20,7 @@ def bounded(load, duration=6.0, **changes):
 
 
 def test_the_best_possible_error_under_a_step_load_is_the_deflection_of_the_true_robot():
-    """Load applied: deflection of the exact rod at the start pose. Load removed: nearly the same, at other joints."""
+    """It is the exact rod's deflection at the start pose; at load removal, with other joints, nearly the same."""
     found = bounded(STEP, 14.0)
     case = a_case("fig8", "regulation")
     rod = ExactRod(virtual_bench(case.robot, case.lab, 0, case.start).lab.true_robot)

@@ -28,7 +28,7 @@ def nothing_in_use(monkeypatch):
 def test_another_process_with_the_same_data_folder_finds_a_saved_experiment(nothing_in_use, monkeypatch, tmp_path):
     path = save(MOTION, "there", tmp_path, ABOUT, replace=False)
     assert path == tmp_path / EXPERIMENTS_FOLDER / "there.toml"
-    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # another process
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # as in another process, in which the variable is not set
     assert "there" not in preset_names("experiments")
     use_saved(tmp_path)
     assert load_experiment("there").cases[0].lab == load_experiment("fig10").cases[0].lab

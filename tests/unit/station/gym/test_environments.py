@@ -25,7 +25,7 @@ HIDDEN = {"load": 0.3, "tube_error": 0.1}
 
 
 def same(one, other) -> bool:
-    """Return whether observations are equal but for the last digits.
+    """Return whether observations are equal except for the last digits.
 
     They are equal bit for bit if one process has compiled all functions; parallel tests share the compiled functions.
     """

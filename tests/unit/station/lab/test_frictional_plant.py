@@ -59,8 +59,8 @@ def work(
 ) -> float:
     """Return the work of load and stages on the tubes along a path [J], by the trapezoidal rule.
 
-    The guide's mouth bends a straight tube by M as it comes out and is pushed back along z by M^2 / (2 EI): that
-    is on the sensor which bears the guide, and not on the stage that slides the tube.
+    The guide's mouth bends an emerging straight tube by a moment M, and the tube pushes the mouth back along z by
+    M^2 / (2 EI). This force acts on the sensor, which bears the guide, and not on the stage that slides the tube.
     """
     rows = []
     for stages, force in path:
@@ -144,7 +144,7 @@ def test_sliding_a_tube_directs_friction_along_z_and_releases_the_wind_up(rough)
 
 
 def straight_in_curved() -> Robot:
-    """A straight tube in a stiff curved one: without friction its tip follows every rotation."""
+    """Return a straight tube in a stiff curved tube; without friction the tip follows every rotation."""
     return Robot(
         "windup",
         (
@@ -156,7 +156,7 @@ def straight_in_curved() -> Robot:
 
 
 def hold() -> tuple[float, float]:
-    """Return the torque at both points where the outer tube starts or stops bending the inner one, and GJ."""
+    """Return the torque at both points where the outer tube starts or stops bending the inner tube, and GJ."""
     handed = 0.04 * 40.0 / 40.04 * 4.0
     return 2.0 * MU * 1e-3 / COUPLE * handed, 0.04 / 1.3
 

@@ -34,15 +34,15 @@ TAP = {"kind": "tap", "peak": 0.4, "duration": 0.06, "start": 1.0}
     [
         ({"kind": "none"}, {0.0: 0.0, 7.0: 0.0}),
         (CONSTANT, {0.0: 0.5, 1e5: 0.5}),
-        # f_x = 0.2 sin(2 pi 0.05 t): peaks at a quarter and three quarters of 20 s
+        # f_x = 0.2 sin(2 pi 0.05 t) has peaks at a quarter and at three quarters of 20 s
         (SINE, {0.0: 0.0, 5.0: 0.2, 10.0: 0.0, 15.0: -0.2, 5.0 / 3.0: 0.1, 25.0: 0.2}),
-        # 0.25 (1 - cos(2 pi t / 20)): 0.5 N at half the period, half of it at a quarter
+        # 0.25 (1 - cos(2 pi t / 20)) is 0.5 N at half the period and 0.25 N at a quarter of the period
         (RAISED, {0.0: 0.0, 5.0: 0.25, 10.0: 0.5, 15.0: 0.25, 20.0: 0.0, 30.0: 0.5, 20.0 / 6.0: 0.125}),
         (RAMPS, {0.0: 0.0, 4.99: 0.0, 5.0: 0.0, 6.25: 0.25, 7.5: 0.5, 12.0: 0.5, 16.25: 0.25, 17.5: 0.0, 99.0: 0.0}),
         (LIFTED, {0.0: 0.0, 1.0: 0.0, 2.0: 0.25, 3.0: 0.5, 6.9: 0.5, 7.0: 0.5, 7.25: 0.25, 7.5: 0.0, 99.0: 0.0}),
         (STEP, {0.0: 0.5, 1e-9: 0.5, 1e5: 0.5}),
         ({**STEP, "stay": 1.0, "start": 2.0}, {1.999: 0.0, 2.0: 0.5, 2.999: 0.5, 3.0: 0.0}),
-        # half a sine wave: half of the peak at a sixth and five sixths of the time
+        # half a sine wave has half of its peak at a sixth and at five sixths of its duration
         (TAP, {0.999: 0.0, 1.01: 0.2, 1.03: 0.4, 1.05: 0.2, 1.06: 0.0, 2.0: 0.0}),
         ({"kind": "ramps", "times": [2.0], "magnitudes": [0.3]}, {0.0: 0.0, 1.999: 0.0, 2.0: 0.3, 50.0: 0.3}),
         ({"kind": "ramps", "times": [0.0, 1.0], "magnitudes": [0.4, -0.4]}, {0.0: 0.4, 0.25: 0.2, 0.75: -0.2, 2: -0.4}),

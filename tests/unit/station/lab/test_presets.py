@@ -52,7 +52,8 @@ def test_forces_and_moments_of_a_simulated_sensor_drift_at_the_configured_rates(
         force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, force_offset=0.0, moment_offset=0.0
     )
 
-    assert np.abs(reading(10.0, still)) == pytest.approx(3 * [0.05] + 3 * [1e-3], abs=2e-6)  # 5 mN, 0.1 N mm per minute
+    # drift of 5 mN and 0.1 N mm per minute
+    assert np.abs(reading(10.0, still)) == pytest.approx(3 * [0.05] + 3 * [1e-3], abs=2e-6)
     unmoved = still.model_copy(update={"moment_drift": 0.0})
     assert np.abs(reading(10.0, unmoved)) == pytest.approx(3 * [0.05] + 3 * [0.0], abs=2e-6)
 

@@ -29,7 +29,7 @@ def test_moving_target_breathes_along_a_line_from_the_seed(seed):
 
     assert sizes[1] < 1e-9 * sizes[0]
     along = moved @ lines[0]
-    assert np.abs(along).max() == pytest.approx(5e-3 * 1.1, rel=0.01)  # the size drifts by a tenth
+    assert np.abs(along).max() == pytest.approx(5e-3 * 1.1, rel=0.01)  # the amplitude drifts by up to a tenth
     assert beats(along) == pytest.approx(0.25, abs=0.01)
     assert abs(lines[0] @ np.linalg.svd(displacements(seed + 10))[2][0]) < 0.999
 

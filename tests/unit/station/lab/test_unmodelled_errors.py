@@ -119,7 +119,7 @@ def test_contact_on_the_shaft_bends_the_true_robot_and_its_moment_is_measured(pa
     expected = rod.solve(START, wrench, contact=0.1)
     np.testing.assert_allclose(truth.tip, expected.tip, rtol=0, atol=2e-6)
     assert np.linalg.norm(truth.tip - rod.solve(START, wrench).tip) > 5e-3
-    outer = bench._wrenches[1]  # alpha = 0 and beta = 0: its axes are the plate's
+    outer = bench._wrenches[1]  # alpha = 0 and beta = 0, so this wrench is in the plate's axes
     assert outer[1] == pytest.approx(0.3, abs=1e-9)
     np.testing.assert_allclose(outer[3:5], expected.unknowns[:2], rtol=0, atol=1e-6)
 

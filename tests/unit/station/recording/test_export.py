@@ -109,7 +109,7 @@ def test_the_progress_of_an_export_rises_with_every_block(run):
 
 
 def test_parquet_without_pyarrow_is_refused_with_the_install_command(run, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)  # as if it were not installed
+    monkeypatch.setitem(sys.modules, "pyarrow", None)  # simulates that pyarrow is not installed
     with pytest.raises(RecordingError, match=r"Parquet needs .* pip install 'ctr-station\[parquet\]'"):
         export_run(run, "parquet", None)
     assert [path.name for path in run.iterdir()] == ["one.mcap"]

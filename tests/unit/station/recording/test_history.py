@@ -124,7 +124,7 @@ def test_a_run_with_an_invalid_summary_or_notes_file_is_listed(history, tmp_path
     (tmp_path / "runs" / "first" / file).write_text(text, encoding="utf-8")
     assert set(ids(history.runs())) == {"first", "second", "third"}
     assert history.run("first").cases == ("regulation",)
-    assert history.run("first").model_dump_json()  # it can be sent
+    assert history.run("first").model_dump_json()  # the run can be sent as JSON
 
 
 def test_runs_and_recordings_with_names_that_are_not_utf_8_are_skipped(history, tmp_path):

@@ -17,7 +17,7 @@ GONE = texts({"label": RunOutcome.INTERRUPTED, "cause": "gone"})
 
 @pytest.fixture
 def left(open_writer, make_rows, tmp_path):
-    """Return the bytes of an unfinished recording of five chunks, and the offset at which each is complete."""
+    """Return the bytes of an unfinished recording of five chunks, and the offset of the end of each chunk."""
     writer = open_writer("left")
     partial = tmp_path / "left.mcap.partial"
     ends = [partial.stat().st_size]

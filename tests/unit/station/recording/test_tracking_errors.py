@@ -24,7 +24,7 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
         "tip_new": frame[:, None],
         "tip_time": (TIME - late)[:, None],
         "truth_known": np.full((len(TIME), 1), float(known)),
-        # The force is 0.5 N from 11 s on; it is larger before, when errors do not count.
+        # The force is 0.5 N from 11 s on; before 11 s the force is larger, but errors do not count.
         "force_filtered": np.outer(np.where(TIME < 11.0, 2.0, 1.0), (0.3, 0.0, 0.4)),
         "target_followed": np.zeros((len(TIME), 1)),
         "target_measured": np.zeros((len(TIME), 3)),

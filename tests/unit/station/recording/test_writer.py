@@ -48,7 +48,7 @@ def test_the_index_of_a_recording_matches_the_records_of_the_file(recorded, make
     assert {summary.channels[number].topic: count for number, count in counts.items() if count} == {
         topic: walked.count(topic) for topic in set(walked)
     }
-    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 4  # the last one has pictures only
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == 4  # the last chunk has only pictures
     assert summary.statistics.message_count == len(walked)
 
 

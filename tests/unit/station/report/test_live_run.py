@@ -9,7 +9,7 @@ from station.report.run import read_run
 
 @pytest.fixture
 def rows(make_rows, channels):
-    """Return rows of the path to the start, the rest there, and 50 rows of a motion."""
+    """Return rows of the approach to the start pose (30), of the rest there (20), and of a motion (50)."""
     made = make_rows(100, first=500)
     channels.of(made, "phase")[:, 0] = [Phase.APPROACHING] * 30 + [Phase.SETTLING] * 20 + [Phase.MOVING] * 50
     return made

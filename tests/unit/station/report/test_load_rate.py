@@ -20,7 +20,7 @@ def settings():
 
 
 def summary(value: float) -> dict:
-    """Return numbers of a case: best possible is a tenth of `value`; both double after the second change."""
+    """Return errors of every case: the best possible is a tenth of `value`; errors double after the second change."""
     cases = {}
     for strategy, factor in (("regulation", 1.0), ("type_1", 2.0), ("held", 15.0)):
         for load in TABLE["cross"]["load"]:
@@ -47,7 +47,7 @@ def test_load_results_have_the_rate_and_the_errors_of_each_load():
     assert all(np.isnan(tried[name].rate) for name in ("rubber_band", "lift_and_drop", "tap"))
     assert tried["ramp_1s"].reached["type_1"] == [2.0, 4.0]
     assert tried["ramp_1s"].best == [0.1, 0.2]
-    # With stationary joints the error under the load counts for both sides, not the error after its removal.
+    # With stationary joints the error under the load counts for both changes, not the error after the load's removal.
     assert tried["ramp_1s"].reached["held"] == [30.0, 30.0]
 
 

@@ -141,7 +141,7 @@ def test_stream_messages_up_to_the_largest_rate_are_accepted_and_faster_ones_ref
     for k in range(5000):
         stream.count(k / MAX_RATE_HZ)
     quick = new_stream()
-    # This is the number of accepted messages, including the initial burst.
+    # The expected number of accepted messages includes the initial burst.
     taken = round(MAX_BURST * 10_000.0 / (10_000.0 - MAX_RATE_HZ))
     for k in range(taken - 1):
         quick.count(k / 10_000.0)

@@ -59,7 +59,7 @@ def test_jacobian_and_compliance_of_solve_equal_published_derivatives(answers):
     pose = {"outer_rotation": 0.0, "inner_rotation": math.pi / 2, "inner_translation": -0.075}
     (answer,) = answers({"joints": pose, "force": [0.2, 0, 0]}, sublink=0.0025)
 
-    # published values: central differences of an exact solver at this pose and load, printed to 1e-6
+    # The published values are central differences of an exact solver at this pose and load, rounded to 1e-6.
     by_joint = [[0.042281, 0.005541, -0.008890], [0.005308, 0.022191, 0.006513], [0.255580, -0.273378, 0.886618]]
     assert np.array(answer["jacobian"]) == pytest.approx(np.transpose(by_joint), abs=1e-4)
     compliance = np.array(answer["compliance"])
@@ -186,7 +186,7 @@ def test_solve_answers_of_a_batch_equal_the_answers_of_single_lines(paper_robot)
             "tip",
             "jacobian",
             "compliance",
-        } & one.keys():  # with a tolerance, because recompiled code may round differently
+        } & one.keys():  # the comparison has a tolerance, because recompiled code may round differently
             np.testing.assert_allclose(one[part], other[part], rtol=1e-7, atol=1e-11)
 
 

@@ -14,7 +14,7 @@ async def _waits(_scope: Scope, _receive: Receive, _send: Send) -> None:
 
 
 async def _cut(connections: Connections, kind: str) -> list[Message]:
-    """Return the messages that a client gets when its request is cancelled."""
+    """Return the messages that a client receives when its request is cancelled."""
     sent: list[Message] = []
 
     async def send(message: Message) -> None:

@@ -15,7 +15,7 @@ OWN = "127.0.0.1:8000"
 
 
 async def _echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Application that answers with the sender that the checks determined."""
+    """Answer with the sender that the access checks have determined; this is the application behind the checks."""
     if scope["type"] == "websocket":
         await send({"type": "websocket.accept"})
         await send({"type": "websocket.close"})
@@ -76,12 +76,12 @@ def test_a_cross_site_request_without_origin_is_refused() -> None:
 @pytest.mark.parametrize("path", ["/viser/", "/viser", "/api/telemetry"])
 @pytest.mark.parametrize("headers", [{"origin": "http://evil.example"}, {"host": "evil.example"}])
 def test_foreign_websockets_are_refused(path: str, headers: dict[str, str]) -> None:
-    assert _socket(path, {"host": OWN}) == ["websocket.accept", "websocket.close"]  # the page's own
+    assert _socket(path, {"host": OWN}) == ["websocket.accept", "websocket.close"]  # the page's own WebSocket
     assert _socket(path, {"host": OWN, **headers}) == ["websocket.close"]
 
 
 def _socket(path: str, headers: dict[str, str]) -> list[str]:
-    """Return the messages that a WebSocket gets."""
+    """Return the types of the messages that a WebSocket receives."""
     sent: list[str] = []
     scope = {
         "type": "websocket", "path": path, "query_string": b"", "client": ("127.0.0.1", 50000),

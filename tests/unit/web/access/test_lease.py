@@ -6,7 +6,7 @@ from web.access.lease import LEASE_S, Lease, LeaseHeldError
 
 
 class Anna:
-    """Return a lease of client `a`, and its clock."""
+    """The lease of client `a`, with a clock `now` [s] that the test sets."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -39,7 +39,7 @@ def test_the_operator_lease_expires_only_without_requests() -> None:
     anna.now = 29.0 + LEASE_S
     assert lease.holder() is None
     assert lease.left() == 0.0
-    lease.renew("a")  # too late: the lease has expired and must be taken again
+    lease.renew("a")  # a renewal after expiry has no effect: the client must take the lease again
     assert lease.holder() is None
     assert lease.take("b", "Ben").name == "Ben"
 

@@ -1,4 +1,4 @@
-"""A flood of refused requests in the audit log: some of them, their count, and every command."""
+"""For a flood of refused requests the audit log has some of the requests, their count, and every command."""
 
 import asyncio
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""STOP in the audit log: accepted from any client at any rate, and no number of STOPs pushes a command out."""
+"""The audit log keeps every command, however many STOPs follow; STOP is accepted from any client at any rate."""
 
 import asyncio
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Direct access to viser's port, bypassing the station's."""
+"""Direct access to viser's port, which bypasses the station's port."""
 
 import socket
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def knock(port: int, origin: Origin | None = None) -> ClientConnection:
 
 
 def closed(connection: socket.socket) -> bool:
-    """Return whether the server has closed a connection; waits for it."""
+    """Wait until the server closes a connection; return whether it did."""
     connection.settimeout(NET)
     try:
         return connection.recv(1) == b""

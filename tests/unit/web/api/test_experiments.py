@@ -9,7 +9,7 @@ from web.api.experiments import experiments_out
 
 @pytest.fixture
 def folder(monkeypatch, tmp_path):
-    """Folder of custom experiments, in use."""
+    """Return an empty folder, which the station uses for custom experiments."""
     monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # pytest restores the variable after the test
     use_experiments(tmp_path)
     return tmp_path

@@ -1,4 +1,4 @@
-"""Messages of every state."""
+"""Messages of the page for every state of the station."""
 
 from dataclasses import replace
 from typing import Any

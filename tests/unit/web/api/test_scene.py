@@ -18,7 +18,8 @@ def test_the_legend_names_every_mark_every_tube_and_every_view(app: TestClient) 
     ]
     names = [sign["name"] for sign in legend["signs"]]
     for word in ("desired", "measured", "estimated", "force", "reference"):
-        assert any(name.startswith(word) for name in names)  # the close-up finds its colours by these names
+        # the close-up finds the colours of the scene's objects by these names
+        assert any(name.startswith(word) for name in names)
 
 
 def test_the_close_up_reports_that_there_is_no_telemetry_and_accepts_any_text(app: TestClient) -> None:

@@ -13,7 +13,7 @@ WAYPOINTS = {"kind": "waypoints", "points": PLACES}
 
 @pytest.fixture
 def own(monkeypatch, tmp_path):
-    """Folder of custom experiments, in use."""
+    """Return an empty folder, which the station uses for custom experiments."""
     monkeypatch.setenv(EXPERIMENTS_VARIABLE, str(tmp_path))
     return tmp_path
 

@@ -1,4 +1,4 @@
-"""OpenIGTLink bytes, decoded by pyigtl and by the specification."""
+"""Bytes of OpenIGTLink messages, decoded by pyigtl and checked against the specification."""
 
 import struct
 
@@ -98,7 +98,7 @@ def test_openigtlink_centre_lines_start_at_the_bases_and_end_at_the_tip(ring):
 
 def test_the_openigtlink_wrench_has_its_units(ring):
     sent = by_name(motion_messages(ROBOT, scene_of(ring)))
-    # Unit code by the specification: a prefix of four bits, then six bits for a unit and four for its exponent.
+    # The specification's unit code has a prefix of four bits, then six bits for a unit and four bits for its exponent.
     newton, metre = 0x0B << 54 | 0 << 50, 0x01 << 44
     for name, values, unit in (("TipForce", FORCE, newton), ("BaseMoment", MOMENT, newton | 1 << 50 | metre | 1 << 40)):
         count, status, told, *felt = struct.unpack("> B B Q 3d", sent[name].data[HEADER_BYTES:])

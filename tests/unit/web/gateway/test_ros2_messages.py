@@ -1,4 +1,4 @@
-"""CDR of ROS 2 messages, decoded by rosbags with our definitions and with its own."""
+"""CDR bytes of ROS 2 messages, decoded by rosbags with this project's definitions and with those of rosbags."""
 
 import numpy as np
 import pytest

@@ -37,7 +37,7 @@ def page(server: viser.ViserServer, name: str) -> ClientConnection:
 
 
 def report(socket: ClientConnection, position: np.ndarray, aspect: float) -> None:
-    """Return a camera message of a browser."""
+    """Send a camera message, as a browser does, with a position and an aspect ratio."""
     message: dict[str, Any] = {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": position.tolist(), "fov": 0.6,
         "near": 0.1, "far": 100.0, "image_height": 100, "image_width": round(100 * aspect),
@@ -69,7 +69,7 @@ def test_the_first_scene_picture_is_fitted_to_the_page_and_a_chosen_camera_is_ke
 ) -> None:
     first = UNIT * camera("Overview", ROOM, TIP, DEFAULT_ASPECT).eye
     with page(server, "page-new") as new:
-        report(new, ASIDE, 0.5)  # viser's first camera
+        report(new, ASIDE, 0.5)  # the position of viser's first camera
         until(lambda: "page-new" in cameras._clients)
         report(new, first, 0.5)
         until(lambda: stands_at(cameras, "page-new", "Overview", 0.5))

@@ -28,7 +28,7 @@ END = {"type": "TransformControlsDragEndMessage", "name": "/target", "owner": ""
 
 
 class Bench:
-    """A gate with its clock, its lease and its reports."""
+    """A message gate with the test's clock, a lease and the gate's reports."""
 
     def __init__(self, role: Role = Role.OPERATOR, *, holds: bool = True) -> None:
         self.now = 0.0

@@ -67,7 +67,7 @@ def test_every_tip_and_every_carriage_is_inside_the_bounds_of_the_robot(robot: R
     rear, front = translations(robot.robot(), robot.limits())
     assert rear.min() >= room.lower[2]
     assert (front >= rear).all()
-    # The box is no larger than the robot needs: tips reach more than half of its length.
+    # The box is not too large: tips reach more than half of its length.
     assert tips[:, 2].max() > 0.5 * room.upper[2]
 
 

@@ -1,4 +1,4 @@
-"""A few random starts: near a fold of the robot, at the fold, and where the tip cannot be held."""
+"""Random start poses: near a fold of the robot's solutions, at the fold, and where the tip cannot be held."""
 
 import json
 import math

@@ -28,7 +28,8 @@ def errors(virtual: VirtualStation, since: float) -> np.ndarray:
 def check_bounds(virtual: VirtualStation, motion: FollowMotion = FOLLOW) -> None:
     """Check that the setpoint of a run keeps its bounds on speed and acceleration.
 
-    Telemetry has the margin setpoint where it is now: a lead of at most 50 ms of its acceleration comes on top.
+    The telemetry's setpoint is the bounded one minus its velocity times the lead time (50 ms at most), so its velocity
+    may exceed the bound by 50 ms times the acceleration.
     """
     moving = virtual.of("target_followed")[:, 0] > 0.0
     velocity = np.diff(virtual.of("tip_desired")[moving], axis=0) / virtual.case.controller.period

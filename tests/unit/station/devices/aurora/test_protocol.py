@@ -1,4 +1,4 @@
-"""Combined API: check values, captures and replies of the protocol's description, split in any way."""
+"""Parser of the Aurora's Combined API: CRCs, captured replies, and documented replies that arrive in pieces."""
 
 import contextlib
 import itertools
@@ -41,7 +41,7 @@ CHECKS = {
     "010A001": 0xC1B5,
     "GETINFO:Features.Firmware.Version": 0x0492,
 }
-#: Captures of one tool: at (10, -20.5, -150.25) mm, and missing.
+#: Captured replies of one tool: at (10, -20.5, -150.25) mm, and with the tool missing.
 VALID = bytes.fromhex(
     "c4a52d003043 010a01 0000803f000000000000000000000000 000020410000a4c1004016c3 6de7fb3d 31000000 00000000 0000 1f37"
 )
@@ -216,7 +216,7 @@ def test_lost_byte_affects_at_most_its_reply_and_the_next(capture):
 def test_noise_is_counted_and_the_next_good_reply_is_found(before, between):
     reader = ReplyReader()
     found = reader.feed(before)
-    reader.drop()  # as a session does before a request
+    reader.drop()  # a session also drops old bytes before a request
     assert [reply for reply in reader.feed(VALID) if reply not in found] == [VALID[6:-2]]
     reader.feed(between)
     reader.drop()

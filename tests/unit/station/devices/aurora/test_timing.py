@@ -1,4 +1,4 @@
-"""Times of frames by the lower envelope of arrivals; rejection of impossible positions."""
+"""Times of frames from the lower envelope of their arrival times; rejection of impossible positions."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def test_late_replies_do_not_move_the_time_of_a_frame():
     errors = [time - (5.0 + n / 40.0) for n, time in enumerate(times) if time is not None]
 
     assert len(errors) == 4000
-    # 0.5 ms/s of drift are allowed for: between two early replies (some 20 frames) the estimate rises by little
+    # The estimate rises by the allowed drift of 0.5 ms/s, which is little between two early replies (some 20 frames).
     assert 0.0 <= np.median(errors[100:]) < 0.5e-3
     assert max(errors[100:]) < 2e-3
 
@@ -49,7 +49,7 @@ def test_restarted_frame_count_is_accepted_after_five_consistent_frames():
     clock = FrameClock(40.0)
     for n in range(1000, 1100):
         clock.soonest(n, n / 40.0)
-    answers = [clock.soonest(n, 30.0 + n / 40.0) for n in (0, 0, 1, 2, 2, 3, 4, 5)]  # some are requested twice
+    answers = [clock.soonest(n, 30.0 + n / 40.0) for n in (0, 0, 1, 2, 2, 3, 4, 5)]  # some frames are received twice
 
     assert answers[:6] == [None] * 6
     assert answers[6:] == pytest.approx([30.1, 30.125], abs=1e-3)
@@ -57,7 +57,7 @@ def test_restarted_frame_count_is_accepted_after_five_consistent_frames():
 
 def test_late_first_reply_does_not_shift_later_times():
     clock = FrameClock(40.0)
-    clock.soonest(0, 0.9)  # 0.9 s late
+    clock.soonest(0, 0.9)  # frame 0 arrives 0.9 s late
     answers = [clock.soonest(n, n / 40.0) for n in range(30, 50)]
     assert answers[-1] == pytest.approx(49 / 40.0)
 

@@ -1,4 +1,4 @@
-"""The configuration page: counts, units, identity; strict, because an error would scale a force."""
+"""The Net F/T page is read strictly (counts, units, identity), because an error would scale the forces."""
 
 import pytest
 from hypothesis import given

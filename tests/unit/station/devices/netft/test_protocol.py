@@ -1,4 +1,4 @@
-"""RDT: requests and records of the manual; sequences that wrap, break, repeat and jump; the box's clock."""
+"""RDT protocol: requests and records of the manual; sequence numbers that wrap, repeat and jump; the box's clock."""
 
 import struct
 
@@ -21,7 +21,7 @@ from station.devices.netft.protocol import (
 )
 from tests.fuzz.netft import fuzz
 
-#: The worked record: sequence 1, sample 6433, healthy, 1 N, -2 N, 3 N, 0.01, -0.02, 0.03 N m at 1e6 counts a unit.
+#: Example record: sequence 1, sample 6433, healthy, (1, -2, 3) N, (0.01, -0.02, 0.03) N m, 1e6 counts per unit.
 WORKED = bytes.fromhex("00000001 00001921 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530")
 WRAP = 2**32
 
@@ -40,7 +40,7 @@ def run(stream: Stream, datagrams: dict[int, list[bytes]] | list[bytes], first: 
 
 
 def series(numbers: range | list[int], rdt: int = 0, ft: int = 6433, step: int = 14) -> list[bytes]:
-    """Return records with their number as the force along x."""
+    """Return records whose force along x [counts] is the number of the record."""
     return [record(rdt + n, ft + step * n, counts=(n, 0, 0, 0, 0, 0)) for n in numbers]
 
 
@@ -59,7 +59,7 @@ def test_buffered_datagram_has_several_records():
     assert [r.rdt_sequence for r in records(b"".join(series(range(1, 41)))) or []] == list(range(1, 41))
 
 
-@settings(deadline=None)  # the first case compiles
+@settings(deadline=None)  # there is no deadline, because the first case compiles the code
 @given(
     st.lists(
         st.sampled_from(["next", "next", "next", "skip", "again", "old", "sick", "large", "two", "noise"]), max_size=60
@@ -123,7 +123,7 @@ def test_gap_is_counted_and_later_records_are_accepted():
 
 def test_duplicate_and_late_records_are_dropped():
     stream, sent = Stream(), series(range(1, 21))
-    sent[9], sent[10] = sent[10], sent[9]  # 11 before 10
+    sent[9], sent[10] = sent[10], sent[9]  # record 11 arrives before record 10
     sent.insert(15, sent[14])
 
     assert run(stream, sent) == [*range(3, 10), *range(11, 21)]
@@ -159,7 +159,7 @@ def test_unrequested_restart_of_a_stream_is_accepted_after_ten_records():
 
     assert run(stream, series(range(501, 600), rdt=-500), 500) == list(range(510, 600))
     assert stream.counters.resyncs == 1
-    assert stream.counters.resets == 0  # the same box: its sample counter continues
+    assert stream.counters.resets == 0  # the sample counter continues, so the box has not been reset
 
 
 def test_requested_restart_of_a_stream_is_accepted_from_its_third_record():
@@ -204,7 +204,7 @@ def test_status_bits_have_texts():
 @pytest.mark.parametrize("error", [-0.005, 0.0, 0.005])
 def test_sample_clock_follows_a_box_with_a_wrong_clock_rate(error):
     clock, worst = SampleClock(), 0.0
-    for n in range(1, 100_001):  # 200 s; each record comes up to 1 ms late, every tenth at once
+    for n in range(1, 100_001):  # 200 s; each record arrives up to 1 ms late, and every tenth record without delay
         arrival = n * 0.002 + LATENCY_S + (0.0 if n % 10 == 0 else 1e-4 * (n * 7919 % 11))
         time = clock.observe(round(n * 14 * (1.0 + error)), arrival)
         worst = max(worst, abs(time - n * 0.002) if n >= 10 else 0.0)
@@ -229,7 +229,8 @@ def test_delayed_records_keep_their_measurement_times():
 def test_records_lost_by_the_host_are_a_gap_and_no_restart():
     stream = Stream()
     for n, datagram in enumerate(series(range(1, 301))):
-        stream.feed(datagram, 0.002 * n if n < 100 else 4.0)  # 4 s away, and the socket keeps 200 records
+        # the host does not poll until 4 s, and the socket keeps 200 records
+        stream.feed(datagram, 0.002 * n if n < 100 else 4.0)
     fresh = [s for n, d in enumerate(series(range(2001, 2101))) for s in stream.feed(d, 4.0 + 0.002 * n)]
 
     assert len(fresh) == 100
@@ -265,5 +266,5 @@ def test_ten_thousand_corrupted_datagrams_and_pages_are_handled():
     found = fuzz(10_000, 1)
 
     assert found["cases"] == 10_000
-    assert found["accepted"] > 1000  # it is not all refused
+    assert found["accepted"] > 1000  # the code does not simply refuse everything
     assert (found["exceptions"], found["hangs"], found["false_accepts"]) == (0, 0, 0)

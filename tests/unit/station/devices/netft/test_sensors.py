@@ -12,13 +12,13 @@ from station.devices.netft.protocol import LATENCY_S
 from station.devices.netft.sensors import BoxAddress, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
 from station.lab.netft.wire import MemoryDatagramEnd
 
-#: Counts as a box set to N and N-mm has them.
+#: Page with the counts of a box whose units are N and N-mm.
 PAGE = NetftPage("Net F/T", "FT1", 1e-6, 1e-9, None)
 TICK = 0.002
 
 
 class Box:
-    """A link whose other end is controlled by the test."""
+    """Simulated Net F/T box: the test controls this end of the link."""
 
     def __init__(self, name: str, page: NetftPage = PAGE, count: int = 6433) -> None:
         self.end, self.page = MemoryDatagramEnd(), page
@@ -26,7 +26,7 @@ class Box:
         self.rdt, self.count = 0, count
 
     def send(self, time: float, force: float = 0.0, moment: float = 0.0, status: int = 0) -> None:
-        """One record of what was measured at `time` [s]: a force along x [N], a moment about z [N m]."""
+        """Send one record measured at `time` [s], with a force along x [N] and a moment about z [N m]."""
         self.rdt += 1
         count = self.count + round(7000 * time)
         counts = (round(force * 1e6), 0, 0, 0, 0, round(moment * 1e9))
@@ -94,10 +94,10 @@ def test_newer_sensor_is_interpolated_at_the_time_of_the_older(boxes):
     for tick in range(1, 51):
         boxes[0].send(tick * TICK, force=tick * TICK)
         sensors.poll(tick * TICK + LATENCY_S)
-        boxes[1].send(tick * TICK + 0.001, force=tick * TICK + 0.001)  # 1 ms later than the other
+        boxes[1].send(tick * TICK + 0.001, force=tick * TICK + 0.001)  # box 1 measures 1 ms later than box 0
         reading = sensors.poll(tick * TICK + 0.001 + LATENCY_S)
 
-    # Both forces rise by 1 N/s: at one time both read that time.
+    # Both forces rise by 1 N/s, so at a common time both values in N equal this time in s.
     assert reading.time == pytest.approx(0.100, abs=1e-4)
     assert reading.wrenches[:, 0] == pytest.approx([0.100, 0.100], abs=1e-4)
 
@@ -125,7 +125,7 @@ def test_silent_sensor_is_stale_is_requested_again_and_recovers(boxes):
     assert kept.wrenches[:, 0] == pytest.approx([1.0, 1.0])
     for tick in range(40, 1040):  # 2 s
         sensors.poll(tick * TICK)
-    assert [len(box.requests()) for box in boxes] == [4, 4]  # every half second
+    assert [len(box.requests()) for box in boxes] == [4, 4]  # one request every half second
 
     for box in boxes:
         box.rdt = 0
@@ -215,7 +215,7 @@ def test_gap_is_reported_once_as_a_warning(boxes):
 def test_restarted_box_is_not_used_until_the_operator_starts_it(boxes):
     sensors = driver(boxes)
     run(sensors, boxes, range(1, 501), force=1.0)
-    boxes[0].rdt, boxes[0].count = 0, -10_000  # its counter has restarted, and its bias is lost
+    boxes[0].rdt, boxes[0].count = 0, -10_000  # the box has restarted: its counter is reset, and its bias is lost
     run(sensors, boxes, range(501, 601), force=3.0)
 
     assert sensors.quality[0] == WrenchQuality.RESET

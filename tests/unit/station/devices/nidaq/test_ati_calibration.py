@@ -14,7 +14,7 @@ HEAD = {
     "OutputBipolar": "True",
 }
 TRANSFORM = '<BasicTransform Dx="0" Dy="0" Dz="4.5" Rx="0" Ry="0" Rz="0"/>'
-#: Coefficients with easy numbers: gauge i drives axis i, and the fourth one drives Fx as well.
+#: Coefficients with simple numbers: gauge i affects axis i, and the fourth gauge also affects Fx.
 VALUES = np.diag([32.0, 32.0, 16.0, 8.0, 8.0, 8.0])
 VALUES[0, 3] = -64.0
 SCALES = (16.0, 16.0, 8.0, 2.0, 2.0, 2.0)
@@ -39,7 +39,7 @@ def file(body: str, **head: str) -> bytes:
 
 
 AXIS_ROWS = rows("Axis", VALUES, SCALES)
-#: By hand: rows divided by their scales; about a point 4.5 mm up z the moments are T - p x F,
+#: Computed by hand: rows divided by their scales; about a point p at 4.5 mm along z the moments are T - p x F,
 #: that is Tx + 4.5 Fy and Ty - 4.5 Fx [N mm].
 USER = np.array(
     [
@@ -73,7 +73,7 @@ def test_wrench_is_computed_from_voltages_minus_bias():
 
     wrench = calibration.wrench(np.array([1.1, 0.8, 0.3, 0.5, 0.5, 0.5]), bias)
 
-    # (1, 1, 0, 0.5, 0, 1) V above the bias
+    # The voltages are (1, 1, 0, 0.5, 0, 1) V above the bias.
     assert wrench == pytest.approx([0.0, 2.0, 0.0, 0.011, 0.0, 0.004], abs=1e-12)
     assert calibration.wrench(bias, bias) == pytest.approx(np.zeros(6))
 

@@ -1,4 +1,4 @@
-"""Error messages without a card. The card itself needs NI's driver and hardware."""
+"""Error messages on a computer without a card; tests of the card itself would need NI's driver and hardware."""
 
 import importlib.util
 import sys

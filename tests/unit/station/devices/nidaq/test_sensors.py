@@ -1,4 +1,4 @@
-"""Sensors on analog cards, with voltages from arrays in place of a converter."""
+"""Sensors on analog cards; the voltages come from arrays instead of a converter."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from station.devices.nidaq.sensors import CardClock, CardQuality, CardSensors, W
 
 RATE = 5000.0
 TICK = 0.002
-#: Every gauge feels every axis, as real ones do.
+#: Calibration matrix in which every gauge measures every axis, as in real sensors.
 MATRIX = np.random.default_rng(1).normal(size=(6, 6)) * np.array([[2.0]] * 3 + [[0.02]] * 3)
 CALIBRATION = GaugeCalibration("FT1", "SI-18-0.25", MATRIX, np.array([18.0] * 3 + [0.25] * 3), 10.0)
 
@@ -23,7 +23,7 @@ def voltages_of(wrench: np.ndarray) -> np.ndarray:
 
 
 class Recorded:
-    """A card that has sampled a recording up to `now` and returns the samples when it is read."""
+    """Simulated card that has sampled a recording up to `now`; a read returns the samples since the last read."""
 
     def __init__(self, name: str, recording: np.ndarray, rate: float = RATE, start: float = 0.0) -> None:
         self.name, self.rate, self.now = name, rate, 0.0
@@ -70,12 +70,13 @@ def test_sample_time_follows_from_its_number_even_if_read_late():
     random, clock = np.random.default_rng(3), CardClock(RATE)
     count, errors = 0, []
     for tick in range(1, 2000):
-        now = tick * TICK + random.exponential(0.5e-3)  # when a tick really reads
+        now = tick * TICK + random.exponential(0.5e-3)  # time at which the delayed tick reads the card
         there = int(now * RATE)
         time = clock.middle(there - count, now)
-        errors.append(time - (count + there + 1) / 2.0 / RATE)  # the mean of their numbers count + 1 ... there
+        # the true middle is the mean of the sample numbers count + 1 ... there, divided by RATE
+        errors.append(time - (count + there + 1) / 2.0 / RATE)
         count = there
-    # Reading falls into the gap between two samples: up to one is already a period old.
+    # A read is between two samples, so the newest sample may already be up to one period old.
     assert 0.0 <= max(errors[200:]) - 0.0 <= 1.0 / RATE
     assert np.ptp(errors[200:]) < 0.1e-3
 
@@ -83,7 +84,7 @@ def test_sample_time_follows_from_its_number_even_if_read_late():
 def test_card_clock_follows_a_rate_error_of_1e_4():
     for drift in (-1e-4, 1e-4):
         clock, count, time = CardClock(RATE), 0, 0.0
-        for tick in range(1, 30_000):  # a minute
+        for tick in range(1, 30_000):  # ticks of one minute
             now = tick * TICK
             there = int(now * RATE * (1.0 + drift))
             time = clock.middle(there - count, now)
@@ -134,7 +135,7 @@ def test_saturated_sensor_keeps_its_last_good_wrench_and_is_unusable():
     assert not usable[75]
     assert all(usable[100:])
     assert CardQuality.SATURATED in seen[75]
-    assert CardQuality.STALE in seen[98]  # nothing usable for more than 50 ms
+    assert CardQuality.STALE in seen[98]  # no sample was usable for more than 50 ms
 
 
 def test_reading_without_new_samples_becomes_stale():

@@ -25,9 +25,9 @@ def test_at_most_one_message_is_sent_every_6_25_ms(host):
     host.run(4.0, changing(host))
 
     times = [time for time, _ in host.sent]
-    assert len(times) == pytest.approx(4.0 * 160, abs=2)  # all that the line carries
+    assert len(times) == pytest.approx(4.0 * 160, abs=2)  # the line's maximum of 160 messages per second
     for window in (1, 10, 100):
-        # Never more than the line has taken, but for the one handed over a tick early.
+        # Messages never come faster than the line transmits them, except that a message may be written one tick early.
         assert min(b - a for a, b in zip(times, times[window:], strict=False)) >= window * MESSAGE_TIME_S - TICK - 1e-9
 
 
@@ -45,7 +45,7 @@ def test_single_axis_uses_the_whole_line():
     host.sent.clear()
     host.run(5.0, lambda now: host.chain.command(0, 4 + round(now / TICK) % 7))
 
-    # 80 of each would be the most if every poll's reply were waited for before the next one.
+    # If every poll waited for the reply to the previous poll, at most 80 of each kind would be possible.
     assert len(host.commands(1, 22)) / 5 >= 80
     assert len(host.commands(1, 60)) / 5 >= 40
     assert len(host.sent) / 5 == pytest.approx(160, abs=5)
@@ -74,13 +74,14 @@ def test_unchanged_velocity_is_repeated_after_a_while():
     host = Host(LineSettings(refresh=0.25))
     host.run(0.3)
     host.run(2.0, lambda now: [host.chain.command(axis, 0) for axis in range(3)])
-    assert host.commands(1, 22) == host.commands(1, 23) == []  # never moved: nothing to repeat
+    # the axis has not moved since connecting, so there is no velocity to repeat
+    assert host.commands(1, 22) == host.commands(1, 23) == []
 
     host.chain.command(0, 0)
     host.run(0.1, lambda now: host.chain.command(0, 5))
     host.places[0] = 1_536_000
     host.run(2.0, lambda now: host.chain.command(0, 0))
-    assert len(host.commands(1, 23)) >= 6  # a speed of 0 is a stop
+    assert len(host.commands(1, 23)) >= 6  # a speed of 0 is repeated as a stop command
 
 
 def test_speeds_are_clipped_to_the_axis(host):
@@ -117,7 +118,7 @@ def test_stop_at_every_tick_does_not_block_the_polls(host):
 
 
 def test_stop_applies_to_an_axis_that_was_moved_again(host):
-    host.status = 22  # none of them rests
+    host.status = 22  # status 22: all axes report that they move
     host.chain.stop()
     host.run(0.2, lambda now: host.chain.command(1, 50 if now > 0.4 else 0))
     assert host.chain.sent[1] == 50
@@ -182,12 +183,12 @@ def test_line_pauses_for_more_than_10_ms_after_a_missed_reply(host):
 def test_axis_estimate_follows_the_velocity_ramps(host):
     estimate = host.chain.estimates[0]
     host.chain.polling = False
-    host.run(0.1)  # the line is free
+    host.run(0.1)  # wait until the line is free
     host.chain.command(0, 1000)
     effect = host.now + MESSAGE_TIME_S
     host.run(1.0)
 
-    # 1000 units at 38 units of acceleration: 9375 microsteps/s after 21.9 ms.
+    # With 38 units of acceleration the speed of 1000 units (9375 microsteps/s) is reached after 21.9 ms.
     ramp = 9375.0 / (38 * 11250.0)
     due = 1_536_000 + 9375.0 * (host.now - TICK - effect - 0.5 * ramp)
     assert estimate.position == pytest.approx(due, abs=0.5)
@@ -230,10 +231,10 @@ def test_axis_that_moves_unexpectedly_is_reported(host):
 @pytest.mark.parametrize(
     "frame",
     [
-        "07 3c 00 00 10 00",  # no such unit
-        "01 3c ff ff ff 7f",  # no such position
-        "01 ff 0c 7b 00 00",  # no such error
-        "01 ff 40 00 00 00",  # a real error: reported, no position
+        "07 3c 00 00 10 00",  # there is no unit 7
+        "01 3c ff ff ff 7f",  # the position is impossible
+        "01 ff 0c 7b 00 00",  # the error number does not exist
+        "01 ff 40 00 00 00",  # a valid error message, which has no position
         "ff ff ff ff ff ff",
     ],
 )
@@ -259,7 +260,7 @@ def test_chain_returns_the_reply_to_the_pending_request(host):
 
     host.chain.send_request(Request(0, 63, 0, 63))
     host.run(0.2)
-    assert host.happened == [Reply()]  # nothing came in time
+    assert host.happened == [Reply()]  # an empty reply: the unit has not answered in time
 
 
 def test_reply_to_a_cancelled_request_is_ignored(host):

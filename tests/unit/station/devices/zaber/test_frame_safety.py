@@ -13,16 +13,16 @@ from station.devices.zaber.protocol import BYTE_TIME_S, RESYNC_GAP_S, ZaberMessa
 
 DEVICES = (1, 2, 3)
 ALIASES = tuple(alias_number(index) for index in range(3))
-#: Numbers that address a unit.
+#: Device numbers and aliases to which a unit reacts.
 LISTENERS = {0, *DEVICES, *ALIASES}
 RESET, HOME, RENUMBER, RESTORE = 0, 1, 2, 36
 ACTING = {RESET, HOME, RENUMBER, RESTORE}
-#: Everything that a speed may be in the protocol.
+#: All speeds that the protocol allows [Zaber units].
 SPEEDS = range(-32767, 32768)
 
 
 def readings(data: bytes) -> list[tuple[int, int, int]]:
-    """Yield shift, device and command of readings across a message and the next one's first byte."""
+    """Return shift, device and command of each shifted reading of a message and the next message's first byte."""
     return [(shift, data[shift], data[shift + 1]) for shift in range(1, 6)]
 
 
@@ -80,13 +80,13 @@ def traffic(line: LineSettings, seconds: float) -> list[tuple[float, bytes]]:
             free = max(free, now)
             sent.append((free, data))
             free += 6 * BYTE_TIME_S
-        chain.lost.clear()  # there are no replies here
+        chain.lost.clear()  # no unit replies here, so the chain would count its axes as lost
         now += 0.002
     return sent
 
 
 def streams(sent: list[tuple[float, bytes]]) -> list[bytes]:
-    """Return the bytes between silences in which units find the frame again."""
+    """Return the byte streams between silences that are long enough for units to find the frame again."""
     found = [sent[0][1]]
     for (before, _), (time, data) in pairwise(sent):
         if time - before - 6 * BYTE_TIME_S > RESYNC_GAP_S:
@@ -96,7 +96,7 @@ def streams(sent: list[tuple[float, bytes]]) -> list[bytes]:
 
 
 def shifted(stream: bytes) -> list[ZaberMessage]:
-    """Yield every message that a unit can read with a wrong frame."""
+    """Return every message that a unit can read from the stream with a wrong frame."""
     frames = [stream[at : at + 6] for at in range(len(stream) - 5) if at % 6]
     return [message for message in map(decode, frames) if message.device in LISTENERS]
 

@@ -27,7 +27,7 @@ def test_rotation_below_its_zero_homes_one_turn_lower_and_returns(stages: dict[s
     quarter = 0.5 * math.pi / turner.joint.microstep
 
     assert homing_step(turner, turner.home_count + quarter).way == pytest.approx(0.5 * math.pi)
-    # down to the sensor three quarters of a turn below, then up a whole turn
+    # The stage moves down by three quarters of a turn to the sensor, then up by a whole turn.
     assert homing_step(turner, turner.home_count - quarter).way == pytest.approx(1.5 * math.pi + 2.0 * math.pi)
 
 

@@ -21,7 +21,7 @@ from station.devices.zaber.protocol import (
     with_id,
 )
 
-#: Seen on the wire, or worked out in the manual.
+#: Messages that were recorded on a real line, or that the manual lists as examples.
 WORKED = [
     ("00 32 00 00 00 00", ZaberMessage(0, 50, 0)),
     ("01 32 45 11 00 00", ZaberMessage(1, 50, 4421)),
@@ -69,8 +69,8 @@ def test_line_transmits_160_messages_per_second():
     ("per_second", "microstep", "data"),
     [
         (3.0, 0.000234375, 1365),  # 3 deg/s
-        (3.14, 0.49609375e-3, 675),  # mm/s: 10 mm at 0.05 Hz
-        (4.71, 0.49609375e-3, 1013),  # 15 mm at 0.05 Hz
+        (3.14, 0.49609375e-3, 675),  # 3.14 mm/s: peak speed of a sinusoid of 10 mm at 0.05 Hz
+        (4.71, 0.49609375e-3, 1013),  # 4.71 mm/s: peak speed of a sinusoid of 15 mm at 0.05 Hz
         (-3.0, 0.000234375, -1365),
     ],
 )
@@ -109,7 +109,8 @@ def test_messages_do_not_depend_on_the_split_of_the_stream(messages, cuts):
     parser, found = ZaberParser(), []
 
     for k, (start, end) in enumerate(pairwise(edges)):
-        found += parser.feed(stream[start:end], k * 0.009)  # the longest pauses that are allowed
+        # A pause of 9 ms is the longest allowed pause between bytes.
+        found += parser.feed(stream[start:end], k * 0.009)
 
     assert found == messages
     assert parser.dropped == 0
