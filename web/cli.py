@@ -18,11 +18,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "serve", help="start the station: control process and page, by default with a virtual lab (default command)"
     )
     serve.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file")
-    serve.add_argument("--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (gentle)")
-    serve.add_argument("--seed", type=seed, metavar="N", help="seed of all random numbers of the virtual lab (0)")
+    serve.add_argument(
+        "--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (default: gentle)"
+    )
+    serve.add_argument(
+        "--seed", type=seed, metavar="N", help="seed of all random numbers of the virtual lab (default: 0)"
+    )
     serve.add_argument("--calibration", type=Path, metavar="DIR", help="folder with the results of 'calibrate'")
-    serve.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (127.0.0.1)")
-    serve.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (8000)")
+    serve.add_argument("--host", default="127.0.0.1", metavar="H", help="address to listen on (default: 127.0.0.1)")
+    serve.add_argument("--port", type=_port, default=8000, metavar="P", help="port of page and REST (default: 8000)")
     serve.add_argument("--no-browser", action="store_true", help="do not open a browser")
     for name, port, what in (
         ("igtl", IGTL_PORT, "OpenIGTLink (3D Slicer, PLUS)"),

@@ -112,7 +112,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.reaction) and self.reaction >= 0.0):
-            raise DescriptionError(f"reaction {self.reaction:g} s must be finite and at least 0")
+            raise DescriptionError(f"reaction time {self.reaction:g} s must be finite and at least 0")
 
     @cached_property
     def _arrays(self) -> tuple[Array, Array, Array, Array]:

@@ -138,7 +138,7 @@ def _check_columns(path: Path, header: Sequence[str], joints: Sequence[str]) -> 
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise PosesError(f"{path}: columns are separated by commas; the header is {header[0]!r}")
     if all(_number(cell) is not None for cell in header):
-        raise PosesError(f"{path}: the first line is numbers; it names the columns: {_columns(joints)}")
+        raise PosesError(f"{path}: the first line contains numbers, but it must name the columns: {_columns(joints)}")
     for name in header:
         if name not in known:
             similar = difflib.get_close_matches(name, known, 1)

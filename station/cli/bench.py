@@ -23,12 +23,16 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         type=number_between(1.0, 86400.0, "a time", "s"),
         default=60.0,
         metavar="S",
-        help="duration of loop, recorder and setpoints (60)",
+        help="duration of each of the benchmarks loop, recorder and setpoints [s] (default: 60)",
     )
     bench.add_argument("--no-fifo", action="store_true", help="loop: do not request real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
     bench.add_argument(
-        "--out", type=Path, default=Path("MEASURED.md"), metavar="FILE", help="file that 'report' writes (MEASURED.md)"
+        "--out",
+        type=Path,
+        default=Path("MEASURED.md"),
+        metavar="FILE",
+        help="file that 'report' writes (default: MEASURED.md)",
     )
     bench.set_defaults(command=_bench)
 

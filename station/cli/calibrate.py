@@ -30,15 +30,21 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         epilog="; ".join(f"{name}: {about}" for name, about in PROCEDURES.items()),
     )  # fmt: skip
     calibrate.add_argument("what", choices=tuple(PROCEDURES))
-    calibrate.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
-    calibrate.add_argument("--lab", default="uncalibrated", metavar="LAB", help="preset or .toml file (uncalibrated)")
-    calibrate.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (0)")
+    calibrate.add_argument(
+        "--robot", default="paper", metavar="FILE", help="robot: preset or .toml file (default: paper)"
+    )
+    calibrate.add_argument(
+        "--lab", default="uncalibrated", metavar="LAB", help="virtual lab: preset or .toml file (default: uncalibrated)"
+    )
+    calibrate.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (default: 0)"
+    )
     calibrate.add_argument(
         "--effort",
         type=number_between(0.5, 5.0, "a factor", ""),
         default=1.0,
         metavar="X",
-        help="factor on the number of poses (1)",
+        help="factor on the number of poses (default: 1)",
     )
     calibrate.add_argument(
         "--from", type=Path, dest="poses", metavar="POSES.csv",

@@ -23,7 +23,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     design.add_argument("study", metavar="STUDY", help="preset (fig10_load) or .toml file")
     design.add_argument(
-        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
+        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (default: one per processor)"
     )
     design.add_argument(
         "--scheduler", metavar="ADDRESS",

@@ -43,7 +43,9 @@ class CommandParser(argparse.ArgumentParser):
     def __init__(self, **how: Any) -> None:
         super().__init__(**how)
         self.in_any_order = False
-        self.add_argument("--data", type=Path, metavar="DIR", help="data folder: runs, calibrations and log (runs)")
+        self.add_argument(
+            "--data", type=Path, metavar="DIR", help="data folder: runs, calibrations and log (default: runs)"
+        )
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:  # pyright: ignore  - its overloads
         """Parse the arguments; with `in_any_order` options may also be between positional arguments."""
@@ -72,12 +74,12 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
     run.add(commands)
 
     solve = commands.add_parser("solve", help="solve the loaded model: JSON lines in, JSON lines out")
-    solve.add_argument("--robot", default="paper", metavar="FILE", help="preset or .toml file (paper)")
+    solve.add_argument("--robot", default="paper", metavar="FILE", help="robot: preset or .toml file (default: paper)")
     solve.add_argument(
         "--sublink",
         type=number_between(0.0001, 0.1, "a length", "m"),
         metavar="M",
-        help="sub-link length [m] (0.01)",
+        help="sub-link length [m] (default: 0.01)",
     )
     solve.add_argument("--exact", action="store_true", help="use the exact rod instead of the paper's model; tip only")
     solve.set_defaults(command=_solve)
@@ -92,7 +94,7 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
         type=number_between(0.0, 2.0, "a weight", "N"),
         default=0.0,
         metavar="N",
-        help="weight at the tip [N] (0)",
+        help="weight at the tip [N] (default: 0)",
     )
     lab.set_defaults(command=_lab)
 

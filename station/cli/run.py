@@ -22,13 +22,17 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add the command `run` to the parser."""
     run = commands.add_parser("run", help="run an experiment with simulated devices and print its results")
     run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
-    run.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (0)")
-    run.add_argument("--out", type=Path, metavar="DIR", help="folder of results (the data folder)")
+    run.add_argument(
+        "--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (default: 0)"
+    )
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder of results (default: the data folder)")
     run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of custom experiments")
     run.add_argument("--calibration", type=Path, metavar="DIR", help="folder with the results of 'calibrate'")
     run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     run.add_argument("--robot", metavar="ROBOT", help="robot instead of the experiment's: preset or .toml file")
-    run.add_argument("--jobs", type=count(1024), metavar="N", help="number of parallel cases (one a processor)")
+    run.add_argument(
+        "--jobs", type=count(1024), metavar="N", help="number of parallel cases (default: one per processor)"
+    )
     run.add_argument("--realtime", action="store_true", help="run in real time instead of as fast as possible")
     run.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     run.set_defaults(command=_run)

@@ -14,9 +14,15 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add the command `soak` to the parser."""
     soak = commands.add_parser("soak", help="test a whole station with a random operator and random faults")
     soak.add_argument(
-        "--minutes", type=number_between(0.1, 1e5, "a time", "min"), default=10.0, metavar="N", help="duration (10)"
+        "--minutes",
+        type=number_between(0.1, 1e5, "a time", "min"),
+        default=10.0,
+        metavar="N",
+        help="duration [min] (default: 10)",
     )
-    soak.add_argument("--seed", type=seed, default=0, metavar="S", help="seed of the random actions and faults (0)")
+    soak.add_argument(
+        "--seed", type=seed, default=0, metavar="S", help="seed of the random actions and faults (default: 0)"
+    )
     soak.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     soak.set_defaults(command=_soak)
 

@@ -32,7 +32,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep = commands.add_parser("sweep", help="run an experiment with many seeds and settings: one table, one report")
     sweep.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file; or 'merge'")
     sweep.add_argument("parts", nargs="?", type=Path, metavar="FOLDER", help="merge: folder of the parts")
-    sweep.add_argument("--seeds", type=count(100_000), default=20, metavar="N", help="seeds 0 ... N-1 (20)")
+    sweep.add_argument("--seeds", type=count(100_000), default=20, metavar="N", help="seeds 0 ... N-1 (default: 20)")
     sweep.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=A,B,C",
         help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; repeated: all combinations",
@@ -40,7 +40,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     sweep.add_argument("--case", metavar="NAME", help="only this case of the experiment")
     sweep.add_argument(
-        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (one a processor)"
+        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (default: one per processor)"
     )
     sweep.add_argument(
         "--scheduler",
@@ -52,7 +52,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         help="folder of this sweep; repeating the command continues an incomplete sweep, also without this option",
     )  # fmt: skip
     sweep.add_argument("--part", type=part, default=(1, 1), metavar="I/N", help="only this part, 1/N ... N/N")
-    sweep.add_argument("--out", type=Path, metavar="DIR", help="folder of results (the data folder)")
+    sweep.add_argument("--out", type=Path, metavar="DIR", help="folder of results (default: the data folder)")
     sweep.add_argument("--experiments", type=Path, metavar="DIR", help="folder of custom experiments")
     sweep.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     sweep.in_any_order = True  # allow options between positional arguments, as in `sweep merge --json FOLDER`
@@ -63,7 +63,7 @@ def part(text: str) -> tuple[int, int]:
     """Parse `I/N`, part I of N parts; return both numbers."""
     number, slash, of = text.partition("/")
     if not slash:
-        raise argparse.ArgumentTypeError(f"{text!r} is not I/N, for example 2/4")
+        raise argparse.ArgumentTypeError(f"{text!r} is not I/N (part I of N parts), for example 2/4")
     parts = count(MAX_PARTS)(of)
     return count(parts)(number), parts
 

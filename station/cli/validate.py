@@ -26,13 +26,13 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--fit", choices=("none", "frames", "tubes", "friction"), default="frames",
         help="none: the tips are in the robot's frame; frames: fit a rigid transform and a constant offset of the"
         " measured point from the tip; tubes: also fit the tubes; friction: also fit how far the motions before a pose"
-        " have wound up each tube, needs a column time (frames)",
+        " have wound up each tube, needs a column time (default: frames)",
     )  # fmt: skip
     validate.add_argument(
         "--test",
         type=Path,
         metavar="OTHER.csv",
-        help="poses for the test (every second pose of POSES after a fit to the others)",
+        help="poses for the test (default: every second pose of POSES after a fit to the others)",
     )
     validate.add_argument(
         "--hysteresis",

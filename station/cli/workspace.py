@@ -21,12 +21,12 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     workspace.add_argument("robot", metavar="ROBOT", help="preset or .toml file")
     workspace.add_argument(
         "--force", nargs=3, type=number_between(-MAX_FORCE_N, MAX_FORCE_N, "a force", "N"), default=[0.0, 0.0, 0.0],
-        metavar=("X", "Y", "Z"), help="force at the tip, world frame [N] (0 0 0)",
+        metavar=("X", "Y", "Z"), help="force at the tip, world frame [N] (default: 0 0 0)",
     )  # fmt: skip
     workspace.add_argument(
-        "--poses", type=count(1_000_000), default=20_000, metavar="N", help="number of poses (20000)"
+        "--poses", type=count(1_000_000), default=20_000, metavar="N", help="number of poses (default: 20000)"
     )
-    workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the poses (0)")
+    workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the poses (default: 0)")
     workspace.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of results (workspaces, inside --data if given)"
     )

@@ -55,7 +55,7 @@ class SensorFile(Strict):
     mounting: Vector
     """rotation vector from the sensor's axes to the axes of its tube [rad]"""
     weight: float
-    """weight that hangs on the sensor [N]; the fit may also give a negative value"""
+    """weight that hangs on the sensor [N]; a fitted value may have any sign"""
     first_moment: Vector
     """weight times the position of the weight's centre of mass, in the tube's axes [N m]"""
     skew: Annotated[tuple[Six, Six, Six, Six, Six, Six], Row] | None = None

@@ -92,7 +92,7 @@ function showHint(pad) {
 }
 
 function advice(pad) {
-  if (navigator.getGamepads === undefined) return "browsers allow gamepads only on the station's computer, or by https";
+  if (navigator.getGamepads === undefined) return "browsers allow gamepads only on the station's computer, or over https";
   if (pad === null) return "no gamepad detected: connect one and press one of its buttons";
   const name = pad.id.replace(/\s*\(.*$/, "") || "pad", { button } = layout(pad);
   if (isHeld(axes)) return `${name}: moves the tip until its button is released`;

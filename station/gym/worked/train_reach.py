@@ -143,7 +143,7 @@ def main() -> None:
     """Train or test a policy, as the command line requests."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("path", type=Path, help="path of the policy, without .zip")
-    options.add_argument("--minutes", type=float, default=60.0, help="to train (60)")
+    options.add_argument("--minutes", type=float, default=60.0, help="training time [min] (default: 60)")
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--test", type=int, metavar="EPISODES", help="test instead of training")
     parsed = options.parse_args()

@@ -128,7 +128,7 @@ def test_an_invalid_joint_limit_is_refused_by_name_value_and_unit(change, words)
 
 @pytest.mark.parametrize("reaction", [-0.010, math.nan, math.inf])
 def test_an_invalid_reaction_time_is_refused(reaction):
-    with pytest.raises(DescriptionError, match=rf"reaction {reaction:g} s"):
+    with pytest.raises(DescriptionError, match=rf"reaction time {reaction:g} s"):
         Limits((SLIDE,), reaction)
 
 

@@ -50,7 +50,7 @@ def test_sweep_prints_one_json_object_and_leaves_a_folder_with_a_report(write, s
         (("--set", "controller.k1=-1"), "K1 = -1 1/s"),
         (("--set", "nothing"), "write KEY=VALUE"),
         (("--experiments", "nowhere"), "nowhere: no such folder"),
-        (("--part", "2"), "'2' is not I/N, for example 2/4"),
+        (("--part", "2"), "'2' is not I/N (part I of N parts), for example 2/4"),
         (("--part", "3/2"), "3 is outside 1 ... 2"),
         (("--part", "1/2"), "--part needs --folder"),
         (("out",), "only follow 'sweep merge'"),
