@@ -86,7 +86,7 @@ def test_pose_without_a_shape_under_its_load_is_left_out(read):
     [
         ([], ["empty", "tip_x"]),
         ([HEADER], ["no row"]),
-        (["1,2,3,4,5,6"], ["first line is numbers", "outer_rotation"]),
+        (["1,2,3,4,5,6"], ["first line contains numbers", "outer_rotation"]),
         ([HEADER.replace(",", ";"), GOOD[0]], ["separated by commas"]),
         ([HEADER.replace("inner_rotation", "inner_rot"), GOOD[0]], ["'inner_rot'", "did you mean 'inner_rotation'"]),
         ([HEADER.replace(",tip_z", ""), "0,0,-0.1,0,0"], ["no column 'tip_z'", "force_x"]),
