@@ -65,7 +65,7 @@ class Permits:
         return Permit(self, int(self._ring.counters[GENERATION]), self._clock.now() + DEADLINE_S, gone)
 
     def void(self, cause: str, *, stop: bool) -> None:
-        """Void every earlier permit; `cause` is the reason in refusals. Only a STOP also voids a requested reset."""
+        """Void every earlier permit; refusals contain `cause`. The permit of a reset becomes void only by a STOP."""
         with self._lock:
             self._causes.append(cause)
             self._ring.counters[GENERATION] += 1
@@ -79,9 +79,8 @@ class Permits:
             if what == Transition.RESET:
                 newest, cause = self._stop
             elif later := newest - permit.generation:
-                cause = self._causes[
-                    -min(later, len(self._causes))
-                ]  # cause of the first STOP or reset after the request
+                # The cause of the first STOP or reset after the request.
+                cause = self._causes[-min(later, len(self._causes))]
         if permit.generation < newest:
             raise VoidError(
                 f"'{what}' is void: the station was {cause} after this request arrived;"

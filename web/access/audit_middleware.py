@@ -5,6 +5,7 @@ This middleware wraps the whole application, so it also logs the requests that t
 
 import json
 import time
+from collections.abc import Callable
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -30,9 +31,9 @@ REFUSAL_STATUSES = (401, 403)
 class AuditMiddleware:
     """Middleware that passes requests on to the wrapped application and logs them."""
 
-    def __init__(self, app: ASGIApp, audit: Audit) -> None:
-        self._app, self._audit = app, audit
-        self._refusals, self._repeats = Refusals(audit), Repeats(audit)
+    def __init__(self, app: ASGIApp, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
+        self._app, self._audit, self._clock = app, audit, clock
+        self._refusals, self._repeats = Refusals(audit, clock), Repeats(audit, clock)
         self._last: tuple[tuple[str, ...], float] = ((), 0.0)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -76,7 +77,7 @@ class AuditMiddleware:
         outcome = f"{status} {_reason(answer)}".strip() if status else "disconnected"
         name = str(who) if who is not None else "unknown"
         if scope["path"] == REPEATED_PATH:
-            key, now = (name, where, outcome), time.monotonic()
+            key, now = (name, where, outcome), self._clock()
             repeated = key == self._last[0] and now - self._last[1] < REPEAT_INTERVAL_S
             self._last = (key, now)
             if repeated:

@@ -215,16 +215,6 @@ def test_the_api_documentation_works_without_the_internet(station: Served) -> No
     assert httpx.get(station.url + script).status_code == 200
 
 
-def test_a_continued_jog_is_one_line_of_the_audit_log(station: Served) -> None:
-    for _ in range(8):
-        assert station.post("/api/jog", {"space": "joints", "velocity": [0.01, 0.0, 0.0]}).status_code == 200
-    station.post("/api/jog", {"space": "joints", "velocity": [0.0, 0.0, 0.0]})
-    station.wait_for(lambda s: s["state"] == "READY")
-    entries = station.rest.get("/api/log?count=20").json()
-    since = next(i for i, entry in enumerate(entries) if "/api/jog" not in entry["what"] and entry["who"] != "station")
-    assert len([entry for entry in entries[:since] if "/api/jog" in entry["what"]]) == 1
-
-
 def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) -> None:
     def drops() -> set[str]:
         entries = station.rest.get("/api/log?count=20").json()

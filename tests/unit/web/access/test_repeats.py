@@ -7,7 +7,7 @@ from pathlib import Path
 from starlette.types import Message, Receive, Scope, Send
 
 from station.service.audit import Audit
-from web.access.audit_middleware import AuditMiddleware
+from web.access.audit_middleware import REPEAT_INTERVAL_S, AuditMiddleware
 from web.access.gate import Access
 from web.access.repeats import MAX_LINES, MAX_SENDERS, PERIOD_S, Repeats
 
@@ -90,3 +90,18 @@ def test_stops_from_many_addresses_are_counted_together_as_several(tmp_path: Pat
     assert len(entries) == MAX_SENDERS + MAX_LINES + 1
     assert entries[0].where == "several"
     assert entries[0].outcome.startswith(f"repeated {1000 - MAX_SENDERS - MAX_LINES} times")
+
+
+def test_a_jog_that_is_repeated_within_the_interval_has_one_line_of_the_log(tmp_path: Path) -> None:
+    audit, times = Audit(tmp_path), [0.0]
+    app = AuditMiddleware(Access(_accepted, "127.0.0.1", 8000, None), audit, lambda: times[0])
+
+    async def jog() -> None:
+        for pause in (0.0, 0.9, 0.9, 1.1, 0.9):
+            times[0] += pause * REPEAT_INTERVAL_S
+            await _post(app, "/api/jog", b"{}")
+
+    asyncio.run(jog())
+    entries = audit.tail(10)
+    audit.close()
+    assert [entry.what for entry in entries] == 2 * ["POST /api/jog {}"]
