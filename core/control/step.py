@@ -17,10 +17,11 @@ import numpy as np
 from core.control.command import OBSERVER_DRIFT, CommandResult, FeedbackOptions, command
 from core.control.controllers import Strategy
 from core.control.corrections import Corrections
-from core.control.estimation import Estimate, Estimator
+from core.control.estimation import FRAME_USED, Estimate, Estimator
 from core.control.force_fusion import FusedLoad, fuse_at
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.perception import perceive
+from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.tip_direction import (
     NO_DIRECTION_TASK,
     POSITION_ONLY,
@@ -30,7 +31,7 @@ from core.control.tip_direction import (
     start_direction,
     update_direction,
 )
-from core.control.tip_force import FORCE
+from core.control.tip_force import FITS, FORCE, MISFIT, QUALITY, SINCE
 from core.control.tracker_velocity import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import NO_BOUNDS
@@ -61,6 +62,7 @@ class ControllerState(NamedTuple):
     tracked: TrackerVelocity = NO_FRAMES  #: tip velocity from tracker frames, if the controller differentiates them
     direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is estimated
     slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
+    zeros: SensorZeros | None = None  #: drift of the base sensors' zeros since the tare, if it is tracked
 
 
 class Tick(NamedTuple):
@@ -173,7 +175,8 @@ def start_controller(controller: Controller, sample: Sample) -> ControllerState:
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
     loaded = controller.statics.solve(right.joints, pure_force(load.force))
     tip = sample.tip if right.tip is None else right.tip
-    return ControllerState(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip)
+    zeros = start_zeros(len(sample.wrenches)) if controller.estimator.load.tracks_zeros else None
+    return ControllerState(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip, zeros=zeros)
 
 
 def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
@@ -187,7 +190,8 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
         started = start_direction(controller.estimator, free.rotation[:, 2], direction.observed)
         direction = started._replace(measured_once=direction.measured_once)
     estimate = controller.estimator.start(free, free, np.zeros(3), origin)
-    return memory._replace(estimate=estimate, origin=origin, direction=direction)
+    zeros = start_zeros(len(memory.zeros.values)) if memory.zeros is not None else None
+    return memory._replace(estimate=estimate, origin=origin, direction=direction, zeros=zeros)
 
 
 def restart_setpoints_here(memory: ControllerState) -> ControllerState:
@@ -211,10 +215,14 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     limits, last = controller.limits, memory.estimate
     if controller.corrections is not None:
         sample = _corrected(controller, sample, last.loaded.rotation)
+    wrenches, zeros = sample.wrenches, memory.zeros
     load, now = perceive(
         controller.statics, controller.estimator, last,
-        sample.joints, sample.wrenches, sample.sent, sample.tip, sample.tip_age,
+        sample.joints, wrenches if zeros is None else wrenches - zeros.values,
+        sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
+    if zeros is not None and sample.tip is not None:
+        zeros = _updated_zeros(controller, zeros, load, now)
     tip, tracked, drift = memory.tip if sample.tip is None else sample.tip, memory.tracked, OBSERVER_DRIFT
     if controller.differentiates:
         known = now.known
@@ -250,7 +258,20 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, tracked, direction, slope),
+        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros),
+    )  # fmt: skip
+
+
+def _updated_zeros(controller: Controller, last: SensorZeros, load: FusedLoad, now: Estimate) -> SensorZeros:
+    """Return the sensors' zeros after a tracker frame; a frame that the observer rejects leaves them unchanged."""
+    known = now.known
+    if not now.numbers[FRAME_USED]:
+        return last
+    total = np.concatenate((load.force, load.moment))
+    misfit, since = float(known.load[QUALITY, MISFIT]) / FITS, float(known.load[QUALITY, SINCE])
+    return update_zeros(
+        last, controller.estimator.load.errors, controller.statics.robot, now.loaded,
+        total, known.bias, known.force_smooth, misfit, since,
     )  # fmt: skip
 
 

@@ -47,6 +47,8 @@ MISSING = 1e3
 #: Product of the force filter's bandwidth and the standard deviation of the force's error [Hz N]; the adaptive
 #: bandwidth is this product divided by the present standard deviation.
 BANDWIDTH_TIMES_DEVIATION_HZ_N = 0.01
+#: Drift time after which the tracker keeps the errors of tracked zeros from growing, see `sensor_zeros` [s].
+TRACKED_DRIFT_S = 300.0
 #: Upper and lower bound of the force filter's adaptive bandwidth [Hz].
 WIDEST_HZ, NARROWEST_HZ = 3.0, 0.5
 
@@ -91,6 +93,8 @@ class LoadEstimator:
     errors: SensorErrors = field(default_factory=SensorErrors)
     #: True: the force filter's bandwidth follows from the covariance. False: the bandwidth is fixed.
     adapts: bool = False
+    #: True: the sensors' zeros are estimated from the tracker, see `sensor_zeros`. False: the zeros of the tare remain.
+    tracks_zeros: bool = False
 
     @cached_property
     def settings(self) -> Array:
@@ -99,7 +103,7 @@ class LoadEstimator:
         numbers = [
             float(self.moments), float(self.adapts), of.force_drift**2, of.moment_drift**2,
             (of.gain * of.force_range) ** 2, (of.gain * of.moment_range) ** 2,
-            of.force_range**-2, of.moment_range**-2, of.lever**2,
+            of.force_range**-2, of.moment_range**-2, of.lever**2, TRACKED_DRIFT_S if self.tracks_zeros else math.inf,
         ]  # fmt: skip
         return np.concatenate((numbers, of.noise.ravel()))
 
@@ -129,10 +133,11 @@ def estimate_force(
         last, now: states (5, 3) of the previous tick and of this tick; the rows are `FORCE` ... `QUALITY`.
 
     """
-    moments, adapts, force_drift, moment_drift, force_gain, moment_gain, by_force, by_moment, lever = settings[:9]
-    noise = settings[9:].reshape(-1, 2)
+    moments, adapts, force_drift, moment_drift, force_gain, moment_gain = settings[:6]
+    by_force, by_moment, lever, tracked = settings[6:10]
+    noise = settings[10:].reshape(-1, 2)
     bandwidth, since = last[QUALITY, BANDWIDTH], last[QUALITY, SINCE] + period
-    passed, elapsed = min(PASSED * bandwidth * period, 1.0), since * since
+    passed, elapsed = min(PASSED * bandwidth * period, 1.0), min(since, tracked) ** 2
     alpha, beta, _ = tube_poses(layout, joints)
     # Total wrench about the plate's origin in the plate's axes, and sums of the variances of forces and moments.
     fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

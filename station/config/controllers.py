@@ -116,7 +116,7 @@ class ControllerFile(Strict):
             if self.observer_bandwidth is None
             else self.observer_bandwidth
         )
-        adapts = self.load == "wrenches" and self.filter_bandwidth is None
+        moments = self.load == "wrenches"
         return Controller(
             self.model(robot.robot()),
             strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
@@ -125,7 +125,11 @@ class ControllerFile(Strict):
                 RateFilter(PERIOD_S, USUAL_BANDWIDTH if self.filter_bandwidth is None else self.filter_bandwidth),
                 Observer(PERIOD_S, bandwidth=bandwidth),
                 Actuation(PERIOD_S, command_interval, self.transport_delay),
-                LoadEstimator(self.load == "wrenches", adapts=adapts),
+                LoadEstimator(
+                    moments,
+                    adapts=moments and self.filter_bandwidth is None,
+                    tracks_zeros=moments and self.feedback == "observer",
+                ),
             ),
             observes=self.feedback == "observer",
             exact_rate=self.deflection_rate == "exact",
