@@ -1,14 +1,19 @@
 """The command `ctr-station`: the subcommand `serve`, and all commands of `python -m station`."""
 
 import argparse
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 from station.cli.main import execute, parser
 from station.cli.options import data_folder, seed
-from station.service.signals import exit_on_signal
 from web.gateway.options import FOXGLOVE_PORT, IGTL_PORT, ZENOH_PORT, GatewayOptions, ListenAddress, address_of
+
+#: Signals that end the station in an orderly way.
+EXIT_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -49,7 +54,7 @@ def _serve(parsed: argparse.Namespace) -> int:
     given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
-    with exit_on_signal():
+    with _exit_on_signal():
         from web.app import serve
 
         browser = not parsed.no_browser
@@ -68,3 +73,23 @@ def _address(text: str) -> ListenAddress:
         return address_of(text)
     except ValueError as error:
         raise argparse.ArgumentTypeError(f"{text}: {error}") from None
+
+
+@contextmanager
+def _exit_on_signal() -> Iterator[None]:
+    """Raise KeyboardInterrupt at the first signal; ignore further signals during the cleanup that follows."""
+    received: list[int] = []
+
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+        for ending in EXIT_SIGNALS:
+            signal.signal(ending, signal.SIG_IGN)  # the signals stay ignored while the interpreter ends
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, on_signal) for number in EXIT_SIGNALS}
+    try:
+        yield
+    finally:
+        if not received:
+            for number, handler in before.items():
+                signal.signal(number, handler)

@@ -41,9 +41,8 @@ class ContactReport(NamedTuple):
 
     force: Array  #: (3,) mean force [N]
     tip: TipLoad  #: whether the load acts at the tip
-    contact: (
-        ContactLocation | None
-    )  #: contact that explains the load; None if a load at the tip explains it, or the force is too small
+    #: contact that explains the load; None if a load at the tip explains it, or the force is too small
+    contact: ContactLocation | None
 
 
 def estimate_contact(statics: Statics, channels: Channels, rows: Array) -> ContactReport | None:

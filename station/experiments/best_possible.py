@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from core.control.hindsight_bound import LoadCourse, best_path
 from core.control.trajectories import Setpoint
 from core.errors import NoSolution
 from core.model.solution import pure_force
@@ -22,6 +21,7 @@ from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.experiments.experiment import Case
+from station.experiments.hindsight_bound import LoadCourse, best_path
 from station.experiments.load_windows import load_windows, window_name
 from station.lab.virtual_bench import virtual_bench
 

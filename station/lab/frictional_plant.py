@@ -10,11 +10,11 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
-from core.model.frictional_rod import FrictionContact, settle, slots
 from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.config.robots import STANDARD_GRAVITY
 from station.devices.interfaces import GroundTruth
 from station.lab.config import PlantConfig
+from station.lab.frictional_rod import FrictionContact, settle, slots
 from station.lab.loads import GRAVITY
 from station.lab.plant import PlantState, true_robot
 from station.lab.random_walk import RandomWalk

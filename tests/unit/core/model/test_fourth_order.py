@@ -5,9 +5,9 @@ import pytest
 
 from core.errors import DescriptionError, NoSolution
 from core.model.cosserat import ExactRod
-from core.model.euler import euler_tip
 from core.model.statics import DEFAULT_SUBLINKS_M, Statics
 from core.robot.robot import Section
+from tests.harness.euler_angles import euler_tip
 
 
 def largest_error(found, expected) -> float:

@@ -26,8 +26,8 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.model.cosserat import largest, present, slope, start_state, times, to_plate, to_world
-from core.model.friction import dahl_friction
 from core.robot.robot import Array, Layout
+from station.lab.friction import dahl_friction
 
 
 class FrictionContact(NamedTuple):

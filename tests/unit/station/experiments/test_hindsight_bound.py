@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from core.control.hindsight_bound import LoadCourse, best_path
 from core.errors import DescriptionError
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits
 from core.robot.robot import Section
+from station.experiments.hindsight_bound import LoadCourse, best_path
 
 SPEED, ACCELERATION = 0.020, 0.100
 #: One straight tube of 0.2 m that turns and slides: its tip moves along z with the translation.
