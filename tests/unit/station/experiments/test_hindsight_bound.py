@@ -8,7 +8,7 @@ import pytest
 from core.errors import DescriptionError
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits
-from core.robot.robot import Section
+from core.robot.robot import Joint, Robot, Section, Tube
 from station.experiments.hindsight_bound import LoadCourse, best_path
 
 SPEED, ACCELERATION = 0.020, 0.100
@@ -25,8 +25,10 @@ STIFFNESS = 0.04
 
 
 @pytest.fixture(scope="module")
-def rod(one_tube):
-    return Statics(one_tube(Section(0.2), bending_stiffness=STIFFNESS), 0.005)
+def rod() -> Statics:
+    tube = Tube("only", (Section(0.2),), STIFFNESS, 0.30)
+    joints = Joint("rotation", 0, "rotation"), Joint("translation", 0, "translation")
+    return Statics(Robot("one", (tube,), joints), 0.005)
 
 
 def along_z(rod: Statics, times: np.ndarray, heights: np.ndarray) -> LoadCourse:
