@@ -40,7 +40,7 @@ def moves(page: Page, station: Served) -> None:
     station.wait_for(lambda status: status["tip_true"][2] < before - FAR)
 
 
-def stands(station: Served) -> None:
+def wait_until_at_rest(station: Served) -> None:
     """Check that the jog has ended and that no other jog starts: telemetry continues and the joints rest."""
     station.wait_for(lambda status: status["state"] == "READY")
     seen: list[list[float]] = []
@@ -51,7 +51,7 @@ def stands(station: Served) -> None:
 def test_gamepad_moves_the_tip_while_its_button_is_held_and_stops_it_on_release(page: Page, station: Served) -> None:
     moves(page, station)
     pad(page, LEFT, held=False)
-    stands(station)
+    wait_until_at_rest(station)
     says(page, "hold a shoulder button")
 
 
@@ -60,11 +60,11 @@ def test_tip_stops_when_the_gamepad_is_unplugged_and_its_held_button_has_no_late
 ) -> None:
     moves(page, station)
     page.evaluate(PAD, None)
-    stands(station)
+    wait_until_at_rest(station)
     says(page, "no gamepad detected")
     pad(page, LEFT, held=True, obeys=False)
     says(page, "release its button, then press it again")
-    stands(station)
+    wait_until_at_rest(station)
 
 
 @pytest.mark.parametrize("event", ["blur", "hide"])
@@ -81,7 +81,7 @@ def test_gamepad_jog_stops_when_the_page_is_left_and_does_not_resume_by_itself(
                        document.dispatchEvent(new Event('visibilitychange')); delete document.hidden; }"""
         )
     says(page, "release its button, then press it again")
-    stands(station)
+    wait_until_at_rest(station)
 
 
 def test_gamepad_stick_has_a_dead_zone_and_is_not_faster_in_its_corner(page: Page, station: Served) -> None:
@@ -105,7 +105,7 @@ def test_gamepad_has_no_effect_without_control_and_the_page_shows_the_reason(pag
     station.rest.post("/api/operator", json={"name": "Anna", "take_over": True})
     says(page, "'Anna' is operator")
     pad(page, LEFT, held=True)
-    stands(station)
+    wait_until_at_rest(station)
     station.rest.delete("/api/operator")
     says(page, "hold a shoulder button")  # a button that was pressed before has no effect until the user releases it
 
@@ -125,4 +125,4 @@ def test_arrow_keys_move_the_tip_while_they_are_held_in_the_jog_field(page: Page
 
     until(moved)
     page.keyboard.up("ArrowLeft")
-    stands(station)
+    wait_until_at_rest(station)

@@ -20,12 +20,12 @@ from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
 
 
-class Look(NamedTuple):
+class Report(NamedTuple):
     after: int  #: number of ticks until the fault
     severity: Severity
 
 
-def looks(skips: list[int]) -> list[Look]:
+def reports(skips: list[int]) -> list[Report]:
     """Return the faults after a sequence of ticks; `skips` has the number of periods that each tick skips."""
     overruns = Overruns(OverrunLimits(), PERIOD_S)
     found, now = [], 0.0
@@ -33,21 +33,21 @@ def looks(skips: list[int]) -> list[Look]:
         now += PERIOD_S * (1 + skipped)
         trouble = overruns.check(now, skipped)
         if trouble is not None:
-            found.append(Look(tick, trouble.severity))
+            found.append(Report(tick, trouble.severity))
     return found
 
 
 def test_five_consecutive_overruns_cause_hold_and_twenty_cause_fault() -> None:
-    found = looks([1] * 20)
-    assert found[0] == Look(5, Severity.HOLD)
-    assert found[-1] == Look(20, Severity.FAULT)
-    assert looks([1, 1, 1, 1, 0] * 9) == []
+    found = reports([1] * 20)
+    assert found[0] == Report(5, Severity.HOLD)
+    assert found[-1] == Report(20, Severity.FAULT)
+    assert reports([1, 1, 1, 1, 0] * 9) == []
 
 
 def test_more_than_one_percent_of_missed_periods_in_ten_seconds_causes_hold() -> None:
-    assert looks([0, 0, 49] + [0] * 100) == []
-    (found,) = looks([0] * 100 + [1, 0] * 51)
-    assert found == Look(201, Severity.HOLD)
+    assert reports([0, 0, 49] + [0] * 100) == []
+    (found,) = reports([0] * 100 + [1, 0] * 51)
+    assert found == Report(201, Severity.HOLD)
 
 
 def test_suspended_control_loop_skips_whole_periods_and_its_motion_ends_in_hold(

@@ -1,6 +1,7 @@
 """The progress monitor, which ends stalled or overloaded motions, on synthetic ticks."""
 
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -25,17 +26,12 @@ def limits(paper):
     return paper.limits()
 
 
-class Made:
-    """Substitute for a data class: an object that has the given attributes."""
-
-    def __init__(self, **attributes: Any) -> None:
-        self.__dict__.update(attributes)
-
-
 def tick(error: float, sigma: float = 0.01, at_bound=(0.0, 0.0, 0.0), joints=(0.0, 1.0, -0.1), force=0.0) -> Tick:
-    estimate = Made(observed=Made(tip=np.array([0.0, 0.0, 0.2 + error])), loaded=Made(joints=np.array(joints)))
-    memory = Made(estimate=estimate, origin=np.array([0.0, 0.0, 0.2]))
-    made = Made(
+    estimate = SimpleNamespace(
+        observed=SimpleNamespace(tip=np.array([0.0, 0.0, 0.2 + error])), loaded=SimpleNamespace(joints=np.array(joints))
+    )
+    memory = SimpleNamespace(estimate=estimate, origin=np.array([0.0, 0.0, 0.2]))
+    made = SimpleNamespace(
         memory=memory, setpoint=Setpoint(np.zeros(3), np.zeros(3)), sigma=np.array([0.02, 0.01, sigma]),
         at_bound=np.array(at_bound), at_row=np.zeros(0), load=FusedLoad(np.array([force, 0.0, 0.0]), np.zeros(3)),
     )  # fmt: skip

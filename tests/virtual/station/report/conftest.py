@@ -74,11 +74,11 @@ def preset_run(run_of: Callable[..., Path]) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def made_up(paper_robot) -> Callable[..., RecordedCase]:
+def synthetic_case(paper_robot) -> Callable[..., RecordedCase]:
     """Return a function that makes a case of 40 rows in 4 s; every second row has a tracker frame that is 50 ms old."""
 
     def make(
-        name: str = "made_up", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any
+        name: str = "synthetic_case", settling: float = 2.0, file: dict[str, Any] | None = None, **groups: Any
     ) -> RecordedCase:
         channels = Channels(paper_robot)
         rows = np.zeros((40, len(channels)))

@@ -115,8 +115,8 @@ def test_the_report_of_fig6_shows_the_mean_model_distances_of_the_summary(preset
     assert numbers["loaded"] < numbers["unloaded"]
 
 
-def test_the_report_of_a_fig6_run_that_ended_too_early_has_no_figure(made_up):
-    assert list(model.draw(RecordedRun(Path("x"), "fig6", {}, {}, (made_up(settling=10.0),)))) == []
+def test_the_report_of_a_fig6_run_that_ended_too_early_has_no_figure(synthetic_case):
+    assert list(model.draw(RecordedRun(Path("x"), "fig6", {}, {}, (synthetic_case(settling=10.0),)))) == []
 
 
 def test_the_report_of_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
@@ -149,8 +149,8 @@ def test_the_fig9_figure_shows_the_force_and_its_error(preset_run):
     assert f"filtered {rms[0]:.3f} / {rms[1]:.3f} / {rms[2]:.3f} N" in drawn.caption
 
 
-def test_the_fig9_figure_of_a_complete_run_starts_at_100_s(made_up):
-    case = made_up(time=np.linspace(0.0, 250.0, 40), force_filtered=np.full((40, 3), 0.2))
+def test_the_fig9_figure_of_a_complete_run_starts_at_100_s(synthetic_case):
+    case = synthetic_case(time=np.linspace(0.0, 250.0, 40), force_filtered=np.full((40, 3), 0.2))
     (drawn,) = force.draw(RecordedRun(Path("x"), "fig10", {}, {}, (case,)))
     left, right = drawn.figure.axes[0].dataLim.intervalx
 
@@ -168,8 +168,8 @@ def test_the_deflection_rate_figure_has_the_errors_of_the_summary(preset_run):
         assert [float(value) for value in expected.groups()] == pytest.approx(values, rel=0.005)
 
 
-def test_a_report_of_less_than_a_second_has_no_deflection_rate_figure(made_up):
-    assert list(rates.draw(RecordedRun(Path("x"), "fig10", {}, {}, (made_up(),)))) == []
+def test_a_report_of_less_than_a_second_has_no_deflection_rate_figure(synthetic_case):
+    assert list(rates.draw(RecordedRun(Path("x"), "fig10", {}, {}, (synthetic_case(),)))) == []
 
 
 def test_the_step_response_figure_has_the_fit(preset_run):
@@ -200,8 +200,8 @@ def test_a_report_of_any_other_experiment_shows_path_error_force_and_joints(shor
     assert shown[0] == pytest.approx(np.degrees(rows.of("joints")[0, 1]))
 
 
-def test_a_report_without_ground_truth_shows_no_true_values(made_up):
-    case = made_up(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
+def test_a_report_without_ground_truth_shows_no_true_values(synthetic_case):
+    case = synthetic_case(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
     run = RecordedRun(Path("x"), "own", {}, {}, (case,))
     texts = " ".join(f"{one.caption} {one.alt}" for one in overview.draw(run))
 
@@ -210,8 +210,8 @@ def test_a_report_without_ground_truth_shows_no_true_values(made_up):
     assert "simulated" not in texts
 
 
-def test_a_report_names_devices_that_reported_to_be_simulated(made_up):
-    case = made_up(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
+def test_a_report_names_devices_that_reported_to_be_simulated(synthetic_case):
+    case = synthetic_case(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
     run = RecordedRun(Path("x"), "own", {}, {}, (replace(case, metadata={"simulated": True}),))
 
     assert run.simulated

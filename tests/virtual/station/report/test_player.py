@@ -86,12 +86,12 @@ def test_the_players_tubes_are_the_models_shape_under_the_recorded_force(case):
         assert points[16] == pytest.approx(middle, abs=2e-5)
 
 
-def test_player_frames_without_a_model_solution_are_marked_as_unknown(made_up):
+def test_player_frames_without_a_model_solution_are_marked_as_unknown(synthetic_case):
     robot = {"robot": load_robot("paper").model_dump(mode="json")}
     # The inner tube is 303 mm long, so it cannot start 500 mm behind the plate: the model has no solution.
     joints = np.tile([0.0, 1.57, -0.1], (40, 1))
     joints[20:, 2] = -0.5
-    case = replace(made_up(joints=joints, tip_measured=np.full((40, 3), 0.01)), metadata=robot)
+    case = replace(synthetic_case(joints=joints, tip_measured=np.full((40, 3), 0.01)), metadata=robot)
     positions, _ = frames(player._case_data(case, lambda _: None))
 
     assert (positions[:45, 0] != UNKNOWN_CODE).all()

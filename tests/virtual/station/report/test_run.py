@@ -33,12 +33,12 @@ def test_a_case_read_from_a_run_has_the_settings_that_it_changes(short_run):
     assert two.file["controller"] == {"feedforward": True}
 
 
-def test_measured_errors_use_the_setpoint_at_the_time_of_the_frame(made_up):
+def test_measured_errors_use_the_setpoint_at_the_time_of_the_frame(synthetic_case):
     # The setpoint moves up at 10 mm/s. Each frame has the setpoint of 50 ms before its row, with 2 mm of error in x.
     times = np.arange(40) * 0.1
     desired = np.outer(0.010 * times, (0.0, 0.0, 1.0))
     measured = np.outer(0.010 * (times - 0.05), (0.0, 0.0, 1.0)) + np.array([0.002, 0.0, 0.0])
-    case = made_up(tip_desired=desired, tip_measured=measured, tip_true=desired - np.array([0.0, 0.001, 0.0]))
+    case = synthetic_case(tip_desired=desired, tip_measured=measured, tip_true=desired - np.array([0.0, 0.001, 0.0]))
     at, error = case.measured_error()
 
     assert at == pytest.approx(times[::2] - 0.05)
@@ -82,9 +82,9 @@ def test_reading_a_run_with_an_invalid_summary_is_refused_naming_the_file(tmp_pa
         read_run(tmp_path)
 
 
-def test_reading_unknown_channels_of_a_case_is_refused_with_their_name(made_up):
-    with pytest.raises(NoRun, match="case 'made_up' has no channels 'colour'"):
-        made_up().of("colour")
+def test_reading_unknown_channels_of_a_case_is_refused_with_their_name(synthetic_case):
+    with pytest.raises(NoRun, match="case 'synthetic_case' has no channels 'colour'"):
+        synthetic_case().of("colour")
 
 
 def test_a_run_folder_with_only_a_summary_is_a_run_without_cases(folder_of):
