@@ -31,6 +31,8 @@ from core.robot.robot import Array
 JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT = range(6)
 #: Index of the first vector in an estimate's array, after the scalars.
 FIRST_VECTOR = 6
+#: Time constant with which the smoothed force approaches the filtered force [s].
+SMOOTHING_TIME_S = 10.0
 
 
 class EstimateFields(NamedTuple):
@@ -42,7 +44,7 @@ class EstimateFields(NamedTuple):
     deflection_rate: Array  #: (3,) rate of the filtered deflection [m/s]
     force_filtered: Array  #: (3,) filtered force at the tip [N]
     force_rate: Array  #: (3,) rate of the filtered force [N/s]
-    force_smooth: Array  #: (3,) smoothed force: at a constant bandwidth, the integral of `force_rate` [N]
+    force_smooth: Array  #: (3,) smoothed force with the rate `force_rate` [N]
     load_rate: Array  #: (3,) tip velocity C w' that the changing load causes [m/s]
     deflection_rate_exact: Array  #: (3,) rate of the deflection, C w' + (J(q, w) - J(q, 0)) q' [m/s]
     delta_1: Array  #: (3,) part of the deflection caused by the load, integral of C dw, eq. (22) [m]
@@ -187,10 +189,13 @@ def estimate(
     filtered(
         old.force_filtered, old.force_rate, force, new.force_filtered, new.force_rate, period, k_value, k_rate
     )  # fmt: skip
-    # The integral of the rate, written without a sum: while the gains change with the pose, a sum would drift away.
-    smoothing = k_value / k_rate - period
+    # The smoothed force has the rate `force_rate`. While the gains change with the pose, its sum would drift away from
+    # the filter's state, so it also approaches the value that it has at constant gains.
+    lag, leak = k_value / k_rate - period, period / SMOOTHING_TIME_S
     for i in range(3):
-        new.force_smooth[i] = new.force_filtered[i] - smoothing * new.force_rate[i]
+        steady = new.force_filtered[i] - lag * new.force_rate[i]
+        new.force_smooth[i] = old.force_smooth[i] + period * new.force_rate[i]
+        new.force_smooth[i] += leak * (steady - new.force_smooth[i])
     for i in range(3):
         along, extra_travel, by_force, by_joints, travel, extra_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         model_tip[i] = with_load.tip[i]
