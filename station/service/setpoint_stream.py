@@ -183,7 +183,7 @@ class SetpointStream:
         return vector / math.hypot(*vector)
 
     def _when(self, now: float, sent: float | None) -> float:
-        """Return the time of arrival without variable transport delay [s], at least that of the previous message."""
+        """Return the arrival time of a message, corrected for network jitter and never before that of the last one [s]."""
         now = max(now, self._last)
         if sent is None:
             return now

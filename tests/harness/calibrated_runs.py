@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--density", type=float, help="of the lab's tubes [kg/m^3]")
-    parser.add_argument("--load-rate", action="store_true", help="run that experiment instead")
+    parser.add_argument("--load-rate", action="store_true", help="run the experiment load_rate instead of the list")
     parsed = parser.parse_args()
     cases = load_experiment("load_rate").cases if parsed.load_rate else ()
     runs = [(case.name, "load_rate", case.name, {}) for case in cases] or RUNS

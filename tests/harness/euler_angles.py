@@ -78,7 +78,7 @@ def _pass(
             nz = -(dx * force[1] - dy * force[0])
             bx, by, bz = _to_frame(mx, my, mz, s1, c1, s2, c2, s3, c3)
             ex, ey, _ = _to_frame(nx, ny, nz, s1, c1, s2, c2, s3, c3)
-            # (14) in frame 1, and its rate along s
+            # Curvature of eq. (14) of the paper in the frame of tube 1, and its derivative along the tube.
             ux, uy, vx, vy = bx / total, by / total, 0.0, 0.0
             for i in range(q):
                 if section[i] < layout.counts[i]:

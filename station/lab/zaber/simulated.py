@@ -37,7 +37,7 @@ class Faults(NamedTuple):
     delay: float = 0.0  #: delay of every reply [s]
     mute: frozenset[int] = frozenset()  #: slots whose replies are lost
     cut: int | None = None  #: slot from which on nothing is transmitted in either direction; 1: the whole line
-    stalled: frozenset[int] = frozenset()  #: slots whose motors count but do not turn
+    stalled: frozenset[int] = frozenset()  #: slots whose motors stand still although their step counters advance
 
 
 class Waiting(NamedTuple):
