@@ -1,8 +1,8 @@
 """Elastic stability of a design without load: whether its tubes snap when they rotate.
 
 Consider two tubes with curvatures u1 and u2 and equal curved lengths L. Let l be the length of a single straight tube
-that twists as much as the straight parts of both tubes together. With k^2 = (1 + nu) u1 u2, this pair rotates without a snap when (Dupont et al. 2010; Ha, Park, Dupont
-2016)
+that twists as much as the straight parts of both tubes together. With k^2 = (1 + nu) u1 u2, this pair rotates without a
+snap when (Dupont et al. 2010; Ha, Park, Dupont 2016)
 
     k L < pi / 2   and   S = l k tan(k L) < 1.
 

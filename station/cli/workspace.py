@@ -28,7 +28,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     )
     workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the poses (default: 0)")
     workspace.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of results (default: workspaces, in the folder --data if that is given)"
+        "--out", type=Path, metavar="DIR", help="folder of results (default: workspaces, inside --data if given)"
     )
     workspace.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     workspace.set_defaults(command=_workspace)

@@ -211,5 +211,5 @@ def _part(path: Path, plan: SweepPlan) -> int:
     named = MANIFEST_NAME.fullmatch(path.name)
     part, parts = (int(number or 1) for number in named.groups()) if named else (1, 0)
     if parts != plan.parts or not 1 <= part <= parts:
-        raise RecordingError(f"{path}: the part number in the file name does not fit its sweep, which has {plan.parts} parts")
+        raise RecordingError(f"{path}: its name has a wrong part number: the sweep has {plan.parts} parts")
     return part

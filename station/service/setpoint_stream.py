@@ -183,7 +183,7 @@ class SetpointStream:
         return vector / math.hypot(*vector)
 
     def _when(self, now: float, sent: float | None) -> float:
-        """Return the arrival time of a message, corrected for network jitter and never before that of the last one [s]."""
+        """Return a message's arrival time without network jitter, never before that of the last message [s]."""
         now = max(now, self._last)
         if sent is None:
             return now
