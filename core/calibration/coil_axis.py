@@ -1,9 +1,9 @@
 """Direction of the tracker coil's axis in the frame of the innermost tube's tip, from poses of the robot at rest.
 
-The tip frames are known beforehand from a fit to positions alone. At every pose the measured axis is transformed into
-the model's tip frame. There the axis should always be the same, so the result is the mean over the poses. A model that
-bends too much causes nearly the same error in the tip frame at all poses. This error cannot be distinguished from a
-misaligned coil. The deviation of single poses from their mean shows how good the model is.
+The model's tip frames come from an earlier fit to positions alone. At every pose the measured axis is transformed into
+the model's tip frame. There the axis should be the same at all poses, so the result is the mean over the poses. A model
+whose tubes bend too much causes nearly the same error in the tip frame at all poses. This error cannot be distinguished
+from a misaligned coil. The deviation of the axis at single poses from the mean shows how good the model is.
 """
 
 import math

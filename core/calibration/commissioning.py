@@ -1,8 +1,9 @@
 """Commissioning of a robot's hardware: the sign of each axis, and the latency of the tracker.
 
-The search for the signs needs no registration of the tracker. If the signs are right, one rigid transform maps the
-measured positions onto the model's tips. No rigid transform compensates an axis with the wrong sign (compensating a
-reversal of all rotations would need a mirror). So every combination of signs is tested on the same few small moves.
+An axis has the sign -1 if its stage moves opposite to the robot file. The search for the signs needs no registration of
+the tracker: with the right signs, one rigid transform maps the measured positions onto the model's tips. No rigid
+transform compensates a wrong sign (compensating a reversal of all rotations would need a mirror). The search therefore
+fits a rigid transform for every combination of signs, all to the same few small moves.
 """
 
 import itertools
@@ -18,7 +19,7 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
-#: Smallest ratio of the second-best to the best position residual at which the axis signs are accepted.
+#: The axis signs are accepted if the second-best combination has at least this many times the best position residual.
 MIN_FIT_RATIO = 3.0
 #: Largest number of Gauss-Newton steps in the search for the latency; convergence is quadratic.
 LATENCY_SEARCH_STEPS = 20
@@ -71,7 +72,7 @@ def find_signs(robot: Robot, about: Array, measurements: Sequence[Measurement]) 
 
 
 def find_latency(times: Array, tips: Array, arrivals: Array, coils: Array) -> Latency:
-    """Find the delay of measurements relative to a known motion.
+    """Find the delay of tracker measurements relative to the model's motion of the tip.
 
     Args:
         times: increasing times of the model's motion (m,) [s].

@@ -1,15 +1,16 @@
 """Location of a load on the shaft, from the difference between the base moment and that of a tip load.
 
-A force F at the point r(s) of the shaft causes the moment M = r(s) x F in the sum of the base sensors. The search
-evaluates the mismatch along the shaft, bent by that force at that point:
+A force F at the point r(s) of the shaft causes the moment M = r(s) x F in the sum of the base sensors; s is the arc
+length. The search evaluates the mismatch c between measured and expected moment along the shaft. For each s, r is the
+shape of the shaft under the force F at s:
 
     c(s) = M - r(s) x F,    chi2(s) = c^T S^-1 c,    S = S_M + [r x] S_F [r x]^T + [F x] S_r [F x]^T
 
 where S_M, S_F and S_r are the covariances of moment, force and shaft position. The contact is at the minimum of chi2.
 The 95 % confidence region is where chi2 is below this minimum plus 3.84. A force along the shaft, or one whose line
 crosses the shaft twice, gives a long interval or several intervals. The location is then ambiguous, and the result
-reports the ambiguity. chi2 at the tip tests the assumption of a tip load: three components of noise exceed
-`CHI_SQUARE_999_THREE_DOF` once in a thousand.
+reports the ambiguity. chi2 at the tip tests the assumption of a tip load. A tip load exceeds `CHI_SQUARE_999_THREE_DOF`
+only once in a thousand evaluations, because of noise.
 """
 
 from collections.abc import Sequence
@@ -66,7 +67,7 @@ def evaluate_tip_load(load: FusedLoad, tip: Array, noise: Noise) -> TipLoad:
 
 
 def locate_contact(statics: Statics, joints: Array, load: FusedLoad, noise: Noise) -> ContactLocation | None:
-    """Find the location at which one force explains force and moment; None for a force below `MIN_FORCE_N`.
+    """Return the location where one force explains the base sensors' load; None for a force below `MIN_FORCE_N`.
 
     Args:
         statics: model of the robot; base moments are about the world's origin.

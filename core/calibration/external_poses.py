@@ -1,9 +1,10 @@
 """Comparison of externally measured poses with the model: with the robot file's values, fitted frames, or fitted tubes.
 
-The fit of `prediction` is used, with these differences:
+The fit is that of `prediction`, with these differences:
 
-* The measurement noise is unknown. The residual of the fit becomes the standard deviation of each axis, and the fit is
-  repeated until both agree. Priors then have the right weight even if the model itself is inaccurate.
+* The measurement noise is unknown. The fit is repeated with the residual of the last fit as standard deviation of each
+  axis, until residual and standard deviation agree. Priors then have the right weight even if the model itself is
+  inaccurate.
 * Poses whose neighbours have similar errors (`neighbour_correlation`) count as fewer poses.
 * The fit excludes outliers, for example poses at which the tubes snapped to another shape, and measurement mistakes.
 * The measured point may be centimetres from the tip.
@@ -38,7 +39,7 @@ Extent = Literal["none", "frames", "tubes", "friction"]
 
 #: Standard deviation of the prior of the measured point's offset from the tip, in each axis [m].
 POINT_OFFSET_STD_M = 0.030
-#: Standard deviation of the prior of a joint's lag behind its motion [rad, m].
+#: Standard deviation of the prior of a joint's lag behind its motion, by the joint's unit [rad, m].
 LAG_PRIOR = {"rad": 0.05, "m": 1e-3}
 #: Initial and smallest standard deviation of a measured point [m].
 FIRST_POINT_STD_M, MIN_POINT_STD_M = 0.5e-3, 1e-6
@@ -53,7 +54,7 @@ OUTLIER_RATIO, MAX_OUTLIER_SHARE = 4.0, 0.1
 MIN_LOAD_N = 0.05
 #: Smallest distance of a tube's end from its neighbours' ends at which the tube's length and lag are fitted [m].
 MIN_TUBE_DISTANCE_M = 1.5e-3
-#: Smallest backward motion that counts as a reversal of a joint, as a fraction of the joint's range in the data.
+#: A joint counts as reversed if it moves back by more than this fraction of its range in the data.
 MIN_REVERSAL_SHARE = 2e-3
 #: An alternative interpretation of the joint values is reported if its mean error is below this fraction of the mean
 #: error of the given values.
@@ -72,7 +73,7 @@ class FitParameters(NamedTuple):
 
 
 class ErrorStatistics(NamedTuple):
-    """Statistics of the distances between measured and predicted points [m]."""
+    """Number of poses, and statistics of the distances between measured and predicted points [m]."""
 
     poses: int
     mean: float
@@ -117,8 +118,8 @@ class PoseFit:
     def position_errors(self) -> Array:
         """Standard deviations (3,) of the registration's position [m].
 
-        The fit's standard deviations apply at the middle of the points. At the origin of the points' frame, the error
-        of the rotation adds to them in proportion to the distance from this middle.
+        The fit's standard deviations apply at the middle of the measured points. At the origin of the points' frame,
+        the error of the rotation adds to these, in proportion to the distance of the origin from this middle.
         """
         if self.fit is None:
             return np.zeros(3)
@@ -262,9 +263,9 @@ def fit_parameters(
     hysteresis: bool,
     others: Sequence[Measurement] = (),
 ) -> FitParameters:
-    """Return the parameters that `measurements` under tip forces (m, 3) [N] can determine and that leave `others`
-    valid.
+    """Return the parameters that a fit to `measurements` under tip forces (m, 3) [N] can determine.
 
+    Fitted values of these parameters also keep the poses `others` valid.
     Without load the poses determine only ratios of stiffness, so the outermost tube's stiffness is fixed. A tube that
     ends flush with a neighbour in some pose keeps its total length, because that pose measures that the ends coincide;
     only the start of the tube's curve is fitted. The lag of such a tube's translation is not fitted

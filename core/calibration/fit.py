@@ -1,8 +1,9 @@
 """Least-squares fit with confidence intervals and a list of parameter combinations that the data do not determine.
 
 Every parameter has a tolerance (`size`): the largest error that does not matter. Prior knowledge (for example a tube's
-length to a millimetre) adds one row per parameter to the least-squares problem. The test of observability uses the data
-alone, in units of the tolerances. A value that only the prior determines is therefore never reported as measured.
+length to a millimetre) adds one row per parameter to the least-squares problem. The test whether the data determine a
+parameter combination uses the data alone, in units of the tolerances. A value that only the prior determines is
+therefore never reported as measured.
 """
 
 import math
@@ -32,7 +33,7 @@ class Parameter(NamedTuple):
     name: str
     unit: str
     size: float  #: tolerance: largest error that does not matter, in `unit`
-    prior: float = math.inf  #: standard deviation of the prior about 0; inf: no prior
+    prior: float = math.inf  #: standard deviation of the prior, whose mean is 0, in `unit`; inf: no prior
     bounds: tuple[float, float] = (-math.inf, math.inf)
 
 
@@ -40,7 +41,7 @@ class Combination(NamedTuple):
     """A direction in the space of the parameters that the data do not determine."""
 
     parts: tuple[tuple[str, float], ...]  #: parameters and their shares, in tolerances, largest first
-    open: float  #: standard deviation from the data alone, in tolerances; inf: not observable
+    open: float  #: standard deviation that the data alone leave, in tolerances; inf: not observable
     fixed_by_prior: bool  #: whether priors determine the combination
 
     def __str__(self) -> str:
@@ -77,7 +78,7 @@ class Fit:
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance of the parameters (p, p) with priors; residuals above the noise increase it."""
+        """Covariance of the parameters (p, p), from data and priors; larger if the residuals exceed the noise."""
         size = np.array([p.size for p in self.parameters])
         scaled = self.jacobian * size
         prior = np.diag([(p.size / p.prior) ** 2 for p in self.parameters])

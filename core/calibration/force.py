@@ -1,5 +1,4 @@
-"""Calibration of the base force sensors from a set of poses: offset, drift, mounting angles and weight of mounted
-parts.
+"""Calibration of the base force sensors: offset, drift, mounting angles, gain errors and weight of mounted parts.
 
 Sensor i is slightly misaligned (R_i) and carries parts of weight W_i with centre of gravity c_i. Its reading is y_i:
 
@@ -7,9 +6,9 @@ Sensor i is slightly misaligned (R_i) and carries parts of weight W_i with centr
 
 where b_i and d_i are the sensor's offset and drift, w_i the wrench of the tube, S_i (6, 6) the gain and cross-talk
 errors, and e the direction of gravity. Every w_i contains unknown wrenches between the tubes, so a single sensor cannot
-be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load, which is one
-of three: nothing; a known weight W e at the tip r with the moment r x W e; an unknown force F, for which only the
-moment equation M = r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
+be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load: zero, a known
+weight W at the tip r with the moment r x W e, or an unknown force F at the tip, for which only the moment equation M =
+r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
 opposite sign in two sensors) do not affect the load. `Fit.weak` lists these combinations.
 """
 
@@ -40,7 +39,8 @@ GAIN_PRIOR, GAIN_TOLERANCE = 0.006, 2e-3
 AXIS_RANGES = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)  # ranges of the axes of a Nano43 SI-18-0.25 [N, N m]
 #: Assumed size of an unknown load [N]; it sets the statistical weight of measurements under this load.
 TYPICAL_FORCE_N = 0.5
-#: Smallest number of measurements that can separate a sensor's offset, which turns with the sensor, from a weight.
+#: Smallest number of measurements without load. A sensor's offset turns with the sensor, a weight that hangs on it does
+#: not, so measurements at different rotations separate both.
 MIN_MEASUREMENTS = 8
 
 

@@ -1,8 +1,9 @@
 """Selection of the poses that a calibration measures: the most informative ones that the robot can reach in sequence.
 
-The selection is greedy D-optimal. Among many candidates inside the limits, the next pose is the candidate that adds
-most to the log determinant of the information matrix A: log det(1 + J A^-1 J^T) for the pose's rows J of the fit's
-Jacobian. The selected poses are then ordered for short paths, and every path is checked on the model before it is used.
+The selection is greedy and D-optimal. Among many candidates inside the limits, the next pose is the candidate that
+increases the log determinant of the information matrix A most. The increase is log det(1 + J A^-1 J^T), where J are the
+candidate's rows of the fit's Jacobian. The selected poses are then ordered for short paths, and every path is checked
+on the model before it is used.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +37,7 @@ PATH_STEPS = 12
 
 
 def candidates(statics: Statics, limits: Limits, force: Array, count: int) -> Array:
-    """Return joint positions (m, n), m <= count, that cover the space within all limits under a tip force (3,)."""
+    """Return feasible joint positions (m, n), m <= count, under a tip force (3,) [N]; they cover the limits evenly."""
     lower = np.array([max(j.lower, -HALF_TURN_RAD) if j.unit == "rad" else j.lower for j in limits.joints])
     upper = np.array([min(j.upper, HALF_TURN_RAD) if j.unit == "rad" else j.upper for j in limits.joints])
     inner = lower + (upper - lower) * (

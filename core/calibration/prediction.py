@@ -1,19 +1,19 @@
 """Predicted tracker measurements as a function of frames and tubes; all calibration fits use their residuals.
 
-    e_k = R (p_k) + t - (x(q_k, F_k; tubes) + A(q_k, F_k; tubes) c)
+    e_k = R p_k + t - (x(q_k, F_k; tubes) + A(q_k, F_k; tubes) c)
 
 is the residual of measurement k with joints q_k and tip force F_k. p_k is the coil in the tracker's frame, (R, t) the
 registration, x the model's tip, A the frame of the innermost tube at the tip, and c the coil in that frame. R rotates
 about the middle of the visited points, which decouples rotation and translation. A coil that measures directions a_k
 adds the residual R a_k - A d for each direction d in the tip's frame.
 
-A drive with play lags by half of its play: q_k is the stage's position minus half the play times the direction of the
-joint's last motion (`Measurement.came`). Where `came` is known, a fit of tubes also fits the plays of all joints,
-unless `lags` selects other joints; a play that is not fitted adds to the noise. Tubes with friction lag by their
-wind-up (`windup`), which needs `Measurement.path`.
+A joint whose drive has play (backlash) lags by half of the play: q_k is the stage's position minus half the play times
+the direction of the joint's last motion (`Measurement.came`). Where `came` is known, a fit of tubes also fits the plays
+of all joints, unless `lags` selects other joints; a play that is not fitted adds to the noise. Tubes with friction lag
+by their wind-up (`windup`), which needs `Measurement.path`.
 
-The load also has an error. This error enters the residual through the compliance C, so the covariance of a measurement
-is sigma_p^2 1 + sigma_F^2 C C^T.
+An error of the measured load moves the model's tip through the compliance C. With the standard deviations sigma_p of
+the coil's position and sigma_F of the force, the covariance of a residual is sigma_p^2 1 + sigma_F^2 C C^T.
 """
 
 import math
@@ -34,10 +34,10 @@ from core.model.batch import Solutions, solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
-#: Tolerances of the frames' rotation [rad] and position [m], and standard deviation of the prior of the coil's offset
-#: from the tip: a few millimetres [m].
+#: Tolerances of the registration's rotation [rad] and position [m], and standard deviation of the prior of the coil's
+#: offset from the tip in each axis [m].
 FRAME_TOLERANCE_RAD, FRAME_TOLERANCE_M, COIL_OFFSET_PRIOR_M = 1e-2, 1e-3, 3e-3
-#: Standard deviation of the prior of a drive's play [rad, m].
+#: Standard deviation of the prior of a drive's play, by the joint's unit [rad, m].
 BACKLASH_PRIOR = {"rad": 3e-3, "m": 50e-6}
 #: Standard deviation of the prior of the coil's tilt [rad].
 COIL_TILT_PRIOR_RAD = 0.2
@@ -260,7 +260,7 @@ class Prediction:
 
     @cached_property
     def middle(self) -> Array:
-        """Mean of the visited points in the robot's frame (3,) [m]: the registration turns about it."""
+        """Mean of the measured coil positions in the robot's frame (3,) [m]: centre of the fitted rotation."""
         return self.start.registration.apply(self._coils).mean(axis=0)
 
     @cached_property

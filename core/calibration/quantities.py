@@ -3,13 +3,13 @@
 The zero angle d of a tube is the direction of its curve when its stage reads zero. It is expressed as the direction of
 the precurvature: (kappa cos d, kappa sin d). By convention, the zero angle of the outermost rotating tube is fixed.
 This tube defines the x axis of the robot's frame, to which the tracker's rotation about z refers. The straight length
-of the outermost tube is fixed for a similar reason. If all tubes were straight for a millimetre more, every point would
-be a millimetre further along z, as if the tracker had moved. A zero error of a translation has the same effect as an
-error of the straight length, and is included in the straight length.
+of the outermost tube is fixed for a similar reason. If the straight parts of all tubes were a millimetre longer, every
+tip position would be a millimetre further along z, as if the tracker had moved. A zero error of a translation has the
+same effect as an error of the tube's straight length, so the fitted straight length includes it.
 
 In the model, an outer tube ends where the inner tubes lose contact with it. With clearance, this point is some
-millimetres before the outer tube's edge. The fitted length of its last section is this effective length, not the length
-measured with a ruler.
+millimetres before the outer tube's edge. The fitted length of the outer tube's last section is the effective length up
+to this point, not the length measured with a ruler.
 
 `torsional_stiffness` makes GJ independent of EI and Poisson's ratio. `curve_start` moves the border between the
 straight part and the curve and keeps the tube's total length. This quantity is for tubes whose ends are flush in some
@@ -30,8 +30,8 @@ Kind = Literal[
     "zero_angle", "end",
 ]  # fmt: skip
 
-#: Unit and standard deviation of the prior for each kind of quantity, for tubes made to a drawing and zeros set by
-#: hand.
+#: Unit and standard deviation of the prior for each kind of quantity. The values are for tubes made to a drawing, and
+#: for zero positions of the stages that were set by hand.
 QUANTITY_PRIORS: dict[Kind, tuple[str, float]] = {
     "bending_stiffness": ("", 0.10),  # fraction of the described value
     "curvature": ("", 0.10),  # fraction of the described value

@@ -3,7 +3,7 @@
 The fit starts from Kabsch's closed form between coil positions and the model's tips. A least-squares fit then finds
 rotation, translation, the coil's position in the tip's frame and, if the coil measures directions, its tilt. The tubes
 keep the robot file's values. If the real tubes differ from these values, the residuals are millimetres and the
-covariance grows accordingly; the module `tubes` then fits frames and tubes together.
+covariance grows accordingly. The module `tubes` fits frames and tubes together.
 
 The rotation about z is relative to the zero angle of the outermost rotating tube. A zero error of that stage and a
 rotation of the whole tracker about z have the same effect on every measurement.
@@ -23,14 +23,14 @@ from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 
-#: One measurement in this many is held out: the fit excludes the measurement, whose error then checks the result.
+#: Every n-th measurement is held out, with this n: the fit excludes it, and its error then checks the result.
 HOLD_OUT_EVERY = 4
 #: Smallest number of measurements for a registration with held-out checks.
 MIN_MEASUREMENTS = 6
 #: Assumed error of the model [m]. The motion must determine the frames in spite of this error; otherwise small moves
 #: with small noise would appear sufficient.
 MODEL_ERROR_M = 0.3e-3
-#: Factor on the expected information of a suggested motion; below 1, so that the motion is sufficient in practice.
+#: Factor on the expected Jacobian of a suggested motion; below 1, so that the motion is sufficient in practice.
 INFORMATION_RESERVE = 0.7
 #: Amplitudes of single-joint motions that are tested to find the missing motion, by unit of the joint [rad, m].
 MOTION_AMPLITUDES = {
@@ -122,7 +122,7 @@ def held_out_errors(
 
 
 def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> str:
-    """Return a text that states which joint has to move, and by how much, to determine every frame."""
+    """Return a text that names the joint that has to move, and by how much, to determine all frame parameters."""
     joints, frames = (
         np.array([measurement.joints for measurement in problem.measurements]),
         problem.frames(found.values),

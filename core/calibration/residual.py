@@ -1,9 +1,9 @@
 """Classification of a calibration fit's residual: friction, a smooth function of the joints, or neither.
 
-Kernel ridge regression predicts the error of each pose from the other poses, with cross-validation. The inputs of the
-regression are the joints alone, or the joints and each tube's wind-up from the previous motions (`windup`). A part of
-the error that the joints predict is smooth, and a learned correction could remove it. A part that only the motions
-predict is friction.
+Kernel ridge regression predicts the residual at each pose from the residuals at other poses (cross-validation). The
+inputs of the regression are the joint positions alone, or the joint positions and each tube's wind-up from the previous
+motions (`windup`). A part of the residual that the joint positions predict is a smooth function, and a learned
+correction could remove it. A part that only the previous motions predict is due to friction.
 """
 
 import math
@@ -16,7 +16,7 @@ from core.robot.robot import Array, Robot
 
 Kind = Literal["friction", "smooth", "neither", "unknown"]
 
-#: Smallest fraction of the squared error that a prediction must explain to determine the kind.
+#: The kind is `friction` or `smooth` only if its prediction explains more than this fraction of the squared error.
 NAMED_PART = 0.1
 #: Smallest number of poses for a classification of the residual.
 MIN_POSES = 15

@@ -19,7 +19,8 @@ from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
 from core.robot.robot import Array, Robot
 
-#: Largest accepted standard deviation of a frame parameter, in units of its tolerance: 2 mm, 1 deg.
+#: Largest accepted standard deviation of a combination of parameters, in tolerances. For a single frame parameter it is
+#: 2 mm or 0.02 rad (1.15 deg).
 MAX_OPEN_FRAME = 2.0
 #: Reduced chi square of the fit above which the model itself is considered inaccurate.
 MAX_REDUCED_CHI_SQUARE = 2.0

@@ -6,8 +6,8 @@ the outermost tube: relative to the tube inside it) changes s to
 
     s' = exp(-|d| / h) s + (1 - exp(-|d| / h)) h sign(d)
 
-A long rotation therefore ends at s = +-h, and a rotation much shorter than h does not move the distal end. The law
-ignores sliding. It assumes that joints turn monotonically from pose to pose.
+A long rotation therefore ends at s = +-h. From s = 0, a rotation much shorter than h does not move the tube's distal
+end. The law ignores sliding. It assumes that joints turn monotonically from pose to pose.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,10 @@ def turned_tubes(robot: Robot) -> tuple[Windup, ...]:
 
 
 def relative_rotations(robot: Robot, joints: Array) -> Array:
-    """Return the rotation (..., q) [rad] of each tube relative to its neighbour, at joints (..., n)."""
+    """Return the rotation (..., q) [rad] of each tube relative to its neighbour, at joints (..., n).
+
+    The neighbour is the tube around it; for the outermost tube, the tube inside it.
+    """
     alpha = np.zeros((*joints.shape[:-1], len(robot.tubes)))
     for k, joint in enumerate(robot.joints):
         if joint.motion == "rotation":

@@ -25,24 +25,25 @@ from core.errors import NotFinite
 from core.robot.limits import Limits, velocity_bounds
 from core.robot.robot import Array
 
-#: Smallest singular value of the Jacobian (a tip speed) below which its inverse is always damped [m/s].
+#: The inverse is damped if the smallest singular value of J diag(speed) is below this floor, at any desired tip speed
+#: [m/s]. This singular value is the tip speed in the least mobile direction with the joints at full speed.
 SIGMA_FLOOR_M_S = 5e-4
-#: For a larger desired tip speed the damping sets in earlier, at a singular value of sqrt(this constant * |desired|)
-#: [m/s]. Where the tubes line up, the joint velocity of the solution changes its sign. Without this damping a joint
-#: would oscillate there at full speed, because commands arrive late.
+#: For desired tip speeds above 1.25 mm/s the floor is higher: sqrt(ADAPTIVE_DAMPING_M_S * |desired|) [m/s]. At poses
+#: where the tubes' curves line up, the undamped joint velocity changes its sign. Because commands arrive late, a joint
+#: would oscillate there at full speed without this damping.
 ADAPTIVE_DAMPING_M_S = 2e-4
 
-#: Empty room vector for a robot without limits of several joints together.
+#: Empty vector `room`, for a robot without limits that combine several joints.
 NO_BOUNDS = np.zeros(0)
 
 
 class Inverse(NamedTuple):
-    """Joint velocities computed by the inverse, and the limits that are active."""
+    """Joint velocities of the inverse velocity kinematics, and the limits that are active."""
 
     velocity: Array  #: (n,) joint velocities [rad/s or m/s]
     sigma: Array  #: (min(m, n),) singular values of J diag(speed), largest first [m/s]
     at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
-    at_row: Array  #: (m,) 1 where a limit of several joints is active
+    at_row: Array  #: (m,) 1 where a limit that combines several joints is active, else 0
 
 
 class NullSpace(NamedTuple):

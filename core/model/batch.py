@@ -1,9 +1,10 @@
 """Batches of poses: rows of joints and wrenches, solved in compiled code, with the results of `Statics.solve`.
 
-For a cold row with exactly one shape (`is_unique`), Newton from an unloaded start finds the shape that `solve` reaches
-from rest, and `solve` returns the same numbers. A warm row is the single warm solve. `Statics.solve` solves every other
-row, one at a time. Rows are solved in chunks, which the caller may distribute over threads: the compiled part releases
-Python's lock. The results do not depend on the distribution.
+A cold row starts without a nearby solution, a warm row starts from one. Compiled code solves warm rows, and cold rows
+with exactly one shape (`is_unique`), for which Newton's method alone finds the shape that `Statics.solve` reaches from
+rest. `Statics.solve` solves the other rows, one at a time. Rows are solved in chunks, which the caller may distribute
+over threads, because the compiled part releases Python's global interpreter lock. The results do not depend on the
+distribution.
 """
 
 import math
@@ -42,7 +43,7 @@ Spread = Callable[[Callable[[int], None], Iterable[int]], Iterable[None]]
 
 @dataclass(frozen=True)
 class Solutions:
-    """Solutions of the model at k poses; rows without solution are NaN. Parts are views, like those of a `Solution`."""
+    """Solutions of the model at k poses; rows without solution are NaN. All array properties are views, not copies."""
 
     numbers: Array  #: (k, m) the numbers of a `Solution` in each row
     failures: Mapping[int, CtrError]  #: error of each row without solution
@@ -272,7 +273,7 @@ def solve_rows(
                     robot, order, sublink, joints[row], wrenches[row], rest, np.inf, 0, COLD_STEP_RAD, tubes, columns,
                     numbers[row],
                 )  # fmt: skip
-                # Sub-links may have an equilibrium that the tubes lack, at a twist that the sub-links cannot resolve.
+                # The discretised model may have an extra equilibrium, at a twist too strong for its sub-links.
                 solved = solved and numbers[row, STABILITY] > 0.0
         else:
             solved = newton(

@@ -1,13 +1,13 @@
 """The exact rod model, the reference for the fast model.
 
-Geometrically exact Cosserat rods (Rucker, Jones, Webster 2010) in the frame of the innermost
-tube: a quaternion for the orientation, moment and force in the moving frame,
+The exact rod is a geometrically exact Cosserat rod model (Rucker, Jones, Webster 2010) in the frame of the innermost
+tube. A quaternion is the orientation; moment and force are in the moving frame:
 
     m' = -u x m - e_z x n,   n = R^T F,   m_z = sum_i GJ_i u_iz,   psi_i' = u_iz - u_1z,
 
-integrated by classical Runge-Kutta steps with negligible truncation error. Newton shooting satisfies the conditions at
-the tip. The exact rod shares neither variables, frames, integrator nor derivatives with `propagation`, only the
-description of the robot. The virtual lab also uses it to simulate the real robot.
+Classical Runge-Kutta steps integrate these equations with negligible truncation error. A shooting method with Newton
+steps satisfies the conditions at the tip. The exact rod shares only the description of the robot with `propagation`,
+not its variables, frames, integrator or derivatives. The virtual lab also uses it to simulate the real robot.
 """
 
 import math
@@ -289,7 +289,9 @@ def shoot(
     layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, guess: Array, chord: Array,
     step: float, tolerance: float,
 ) -> tuple[Array, Array, Array, Array, int, float]:  # fmt: skip
-    """Solve by chord Newton; the derivative (by differences) is recomputed when convergence is slow.
+    """Solve for the unknowns with the chord method: Newton steps that reuse the inverse derivative (the chord).
+
+    The derivative is computed by differences, and recomputed when convergence is slow.
 
     Returns unknowns, chord, tip, frame, number of integrations and the residual of the end conditions at that tip. A
     residual above `tolerance` means failure. The returned unknowns include one more chord step, so that later guesses
@@ -379,7 +381,7 @@ def largest(values: Array) -> float:
 
 @compiled
 def times(matrix: Array, vector: Array, out: Array) -> None:
-    """Write matrix times vector to `out`; for a matrix this small the loop is faster than a library call."""
+    """Write matrix times vector to `out`; the loop is faster than a library call for small matrices."""
     for i in range(out.size):
         out[i] = 0.0
         for k in range(vector.size):

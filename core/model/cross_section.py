@@ -1,13 +1,14 @@
 """Bending of one cross-section: eqs. (6), (13) and (14), their rates along s, and their derivatives.
 
-A frame R that does not twist (a Bishop frame) describes the cross-section, and an angle theta_i in this frame describes
-each tube. The frame and the angles replace the paper's Euler angles. The equations are the same,
+A frame R that does not twist (a Bishop frame) describes the orientation of the cross-section. An angle theta_i in this
+frame describes the rotation of each tube. Frame and angles replace the paper's Euler angles in the same equations,
 
     R' = R [kappa x],      kappa = (sum_i EI_i v_i + (R^T M)_xy) / sum_i EI_i        (14)
     theta_i' = u_iz,       u_iz' = (EI_i / GJ_i) (kappa x v_i)_z                  (6), (9)
     r' = R e_z,            M = M(0) - r x F                                 (10)-(12), (13)
 
-with v_i the precurvature of tube i rotated by theta_i. No orientation is singular and no tube is special.
+with v_i the precurvature of tube i rotated by theta_i. The description has no singular orientation and treats all tubes
+equally.
 """
 
 from typing import NamedTuple
@@ -130,7 +131,7 @@ def bend_rate(
         turn, twist: change of theta_i [rad] and u_iz [1/m].
 
     """
-    # change of the moment in the rotating frame, and of the force
+    # changes of the moment (a) and of the force (b), in world axes, less their rotation with the frame
     a1 = m1 - (d2 * at.fz - d3 * at.fy) - (at.y * f3 - at.z * f2) - (n2 * at.mz - n3 * at.my)
     a2 = m2 - (d3 * at.fx - d1 * at.fz) - (at.z * f1 - at.x * f3) - (n3 * at.mx - n1 * at.mz)
     a3 = m3 - (d1 * at.fy - d2 * at.fx) - (at.x * f2 - at.y * f1) - (n1 * at.my - n2 * at.mx)

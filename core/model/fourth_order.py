@@ -1,6 +1,6 @@
-"""A sub-link of fourth order from two cross-sections, its start and its middle.
+"""Fourth-order integration of one sub-link from two cross-sections: the start and the middle of the sub-link.
 
-Where y' = f and y'' = g are known at a cross-section, two cross-sections give fourth order (Chan, Tsai 2010):
+If a cross-section gives y' = f and y'' = g, two cross-sections are sufficient for fourth order (Chan, Tsai 2010):
 
     y(h/2) = y + h/2 f + h^2/8 g,        y(h) = y + h f + h^2 (g / 6 + g(h/2) / 3).
 
@@ -121,8 +121,8 @@ def fourth_order(
             rates[col] = n1 + g.m11 * px + g.m12 * py + g.m13 * pz
             rates[width + col] = n2 + g.m21 * px + g.m22 * py + g.m23 * pz
             rates[2 * width + col] = n3 + g.m31 * px + g.m32 * py + g.m33 * pz
-            # Displacement: the start's part of the step rotated by n, the middle's part by o, and changes along R and
-            # Rm.
+            # Change of the position: n rotates the step's part from the start, o its part from the middle; the other
+            # terms are the changes of both parts in the frames R and Rm.
             qx, qy = sixth * d.ky + dh * h / 3.0 * at.ky, -sixth * d.kx - dh * h / 3.0 * at.kx
             vx, vy = third * e.ky + dh * h / 1.5 * mid.ky, -third * e.kx - dh * h / 1.5 * mid.kx
             tx, ty, tz = sx - third * wx, sy - third * wy, sz - third * wz

@@ -1,10 +1,11 @@
-"""Newton's method for the base unknowns: predict, integrate, correct, and stop when the remaining error must be small.
+"""Newton's method for the base unknowns: torsion of each tube and moment at the plate.
 
-A pass along the tubes gives the end conditions and their derivatives. The Newton step is the distance to the solution,
-and the error after the step is proportional to its square. Once the step is below `WARM_STEP_RAD`, the next violation
-of the end conditions would be below the tolerance. The last step is then applied to tip, frame and unknowns to first
-order, without another pass. A warm start is predicted with the sensitivities and, along a steady motion, with the cubic
-through the last two solutions and their slopes. One pass is then enough.
+A pass along the tubes gives the end conditions and their derivatives, and from these a Newton step. The step is about
+the distance to the solution; the error after the step is proportional to the step's square. Once a step of a warm start
+is below `WARM_STEP_RAD`, the violation of the end conditions after it is below the tolerance. This last step is applied
+to tip, frame and unknowns to first order, without another pass. A warm start begins at a prediction from a nearby
+solution: its sensitivities and, if the motion continues in the same direction, the cubic through the last two solutions
+and their slopes. One pass is then enough.
 """
 
 import numpy as np
@@ -23,11 +24,11 @@ WARM_STEP_RAD = 1e-6
 #: Largest final Newton step of a cold start [rad over the whole length]. It is smaller than that of a warm start
 #: because time matters less, and J and C of the last pass are then those of the solution itself.
 COLD_STEP_RAD = 1e-8
-#: Largest final Newton step in the control loop [rad over the whole length]; it saves half of the passes. Its error is
-#: below 0.1 um at the tip and 0.1 % of J and C, while the noise of a force sample moves the tip by a millimetre.
+#: Largest final Newton step in the control loop [rad over the whole length]. This large value saves half of the passes.
+#: The error is below 0.1 um at the tip and 0.1 % of J and C; the noise of one force sample moves the tip by 1 mm.
 CONTROL_STEP_RAD = 3e-3
-#: Upper bound of the violation of the end conditions after a Newton step, divided by the step's square [1/m or N m]; a
-#: measured value with a reserve.
+#: Upper bound of the end conditions' violation after a Newton step, divided by the step's square [1/m or N m]. The
+#: value was measured and includes a reserve.
 NEWTON_REMAINDER = 100.0
 #: Largest first Newton step of a careful warm start [rad]: a longer step may lead to another shape of the robot.
 MAX_FIRST_STEP_RAD = 0.5
@@ -55,7 +56,7 @@ def newton(
         order, sublink: see `propagation.Scheme`.
         joints, wrench, contact: the pose (n,), the load (6,), and the force's arc length from the plate [m].
         near: numbers of a nearby solution, from which the iteration starts.
-        careful: 1 for a warm start: reject a long first step and a sign change of the margin, to stay on the branch.
+        careful: 1 to stay on the branch of `near`: a long first step or a sign change of the margin is a failure.
         close: largest final Newton step, applied to first order [rad over the whole length].
         tubes, columns: see `propagate`.
         numbers: out, the numbers of the `Solution`.

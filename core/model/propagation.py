@@ -4,8 +4,8 @@ The end of every tube section starts a new link. Links consist of sub-links of o
 link takes the remainder. A sub-link is one step of an integrator: `second_order` is the paper's integrator,
 `fourth_order` permits longer steps.
 
-Derivatives are integrated with the state, as columns: by the base unknowns (u_iz(0), M(0)), the joints and the force.
-Only the last sub-link of a link changes its length with a joint (H in (19)).
+The derivatives of the state are integrated together with it, one column for each base unknown (u_iz(0), M(0)), joint
+and force component. If a joint changes the length of a link, only the link's last sub-link changes (H in (19)).
 """
 
 from typing import NamedTuple
@@ -19,8 +19,8 @@ from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
 
 #: Rows of a derivative column before those of the tubes: rotation (3) and position (3), world frame.
 FRAME_ROWS = 6
-#: Rows of a derivative column after those of the tubes, constant along a link: force (3), moment at the plate (3), and
-#: dh, the change of the last sub-link's length.
+#: Rows of a derivative column after those of the tubes: force (3), moment at the plate (3), and dh, the change of the
+#: length of a link's last sub-link. They are constant along a link.
 FIXED_ROWS = 7
 
 #: Order of the integrators by name.
@@ -58,8 +58,8 @@ def propagate(
         force: (3,), world frame [N].
         contact: arc length from the plate at which the force acts [m]; inf for the tip.
         unknowns: u_iz(0) of each tube (q) [1/m], then M(0) (3), about the plate [N m].
-        tubes, columns: tuples whose lengths, q and the number of derivative columns (0 for none,
-            else padded to a multiple of 8), are constants to the compiler.
+        tubes, columns: tuples whose lengths are constants to the compiler: q, and the number of derivative columns (0
+            for none, else rounded up to a multiple of 4, see `Statics`).
         state: out (18 + 2q): R by rows, r from the plate [m], theta_i [rad], u_iz [1/m] at the end
             of each tube; then the remaining force and M about the plate at the tip.
         rates: out (rows x columns, flat): derivatives of rotation (3, world), r (3), theta_i,
@@ -68,7 +68,7 @@ def propagate(
             the first m cross-sections are written.
 
     Returns:
-        Number of cross-sections on the way, including those at the plate and at the tip.
+        Number of cross-sections passed, including those at the plate and at the tip.
 
     """
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
@@ -82,7 +82,7 @@ def propagate(
         state[9 + k], load[k], load[3 + k] = 0.0, force[k], unknowns[q + k]
     for i in range(q):
         state[12 + q + i] = unknowns[i]
-        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the part of the tube behind the plate also twists
+        state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the length -beta_i behind the plate twists by -beta_i u_iz
         # Skip sections that are entirely behind the plate.
         while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
             section[i] += 1
@@ -108,8 +108,8 @@ def propagate(
         for i in range(q):
             if section[i] < layout.counts[i]:
                 section_end = beta[i] + layout.ends[i, section[i]]
-                # Among flush tube ends the outermost tube ends first, so the innermost tube carries the tip, and its
-                # translation moves the tip, as when the inner tube extends beyond the others.
+                # Where tube ends coincide, the outermost of these tubes ends first. The innermost tube thus ends last,
+                # and its translation moves the tip, as in poses where the innermost tube extends beyond the others.
                 if section_end < end + FLUSH_TOLERANCE_M:
                     end, end_tube = section_end, i
                 total += layout.stiffness[i, 0]

@@ -1,10 +1,11 @@
 """Relaxation to a stable shape: minimise the elastic energy of an element chain, starting from a nearby shape.
 
-Newton's method for the base unknowns fails where tubes snap, after a loss of stability, and for long tubes whose ends
-depend on the last digit of their base torsion. In these cases minimising the elastic energy still finds a shape. The
-energy has a minimum for every pose and every force, so a stable shape always exists. The tubes are cut into elements of
-length h with curvature k_e (2) about axes that do not twist. Tube i has the rotation theta_i at the elements' ends. The
-energy E is
+Newton's method for the base unknowns (torsion and moment at the plate) fails where tubes snap, after a loss of
+stability, and for long tubes whose distal ends depend on the last digit of the base torsion. In these cases minimising
+the energy still finds a shape. The energy has a minimum for every pose and every force, so a stable shape always
+exists. The tubes are cut into elements of length h with curvature k_e (2) about axes that do not twist. Tube i has the
+rotation theta_i at the elements' ends and the rotated precurvature w_i. The energy E, for a force F at the position r,
+is
 
     E = sum_e h (1/2 sum_i EI_i |k_e|^2 - k_e . sum_i EI_i w_i(theta_i)) + sum 1/2 GJ_i (d theta_i)^2 / h
         + sum_i 1/2 GJ_i (theta_i(0) - alpha_i)^2 / -beta_i - F . r(k).
@@ -24,7 +25,7 @@ from core.robot.robot import Array, Indices, Robot
 
 #: Largest number of steps of the minimisation, and largest rotation or bend in one step [rad].
 MAX_STEPS, MAX_STEP_RAD = 50, 0.6
-#: Step size at which the minimisation has converged [rad].
+#: The minimisation has converged when its step is shorter than this [rad].
 REST_STEP_RAD = 1e-4
 #: Size of the perturbation that moves the tubes away from an unstable equilibrium [rad].
 PERTURBATION_RAD = 1e-2
@@ -40,12 +41,12 @@ class ElementChain(NamedTuple):
     alpha: Array  #: (q,) rotations at the proximal ends [rad]
     hidden: Array  #: (q,) length of each tube behind the plate [m]
     force: Array  #: (3,) force on the robot [N]
-    pulled: int  #: number of elements before the force's contact
+    pulled: int  #: number of elements between the plate and the point at which the force acts
     last: Indices  #: (q,) the node at which each tube ends
 
 
 def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: float) -> ElementChain:
-    """Return a chain of elements of at most `longest` [m]; section ends and the force are at element ends."""
+    """Return the robot as elements of at most `longest` [m]; tube sections end, and the force acts, at element ends."""
     alpha, beta = robot.tube_poses(joints)
     ends = np.concatenate([beta[i] + robot.layout.ends[i, :count] for i, count in enumerate(robot.layout.counts)])
     tips = beta + np.array([tube.length for tube in robot.tubes])
@@ -109,7 +110,7 @@ def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Arra
 
 
 def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
-    """Return Newton's step and whether the energy is convex; if it is not, add stiffness until it is."""
+    """Return Newton's step, and whether the Hessian `curve` is positive definite; if not, add stiffness until it is."""
     from scipy.linalg import LinAlgError, cho_factor, cho_solve  # pyright: ignore  - slow to import
 
     added = 0.0
@@ -122,7 +123,7 @@ def _down(slope: Array, curve: Array) -> tuple[Array, bool]:
 
 
 def base_unknowns(robot: Robot, chain: ElementChain, k: Array, theta: Array) -> Array:
-    """Return Newton's start (q + 3) from a relaxed shape: u_iz(0) [1/m], M(0) about the plate, world frame [N m]."""
+    """Return start values for Newton's method from a relaxed shape: u_iz(0) [1/m], M(0) [N m], world frame (q + 3,)."""
     h = np.diff(chain.ends)
     # The torsion at the plate is the sum of the torques from bending along the tube.
     twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
@@ -241,7 +242,7 @@ def _energy(chain: ElementChain, at: Array, rest: Array, moved: Indices) -> tupl
 
 
 def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
-    """Return F . r at the end of the elements, its gradient (2 m) and its Hessian by their bends."""
+    """Return the work F . r of a force at the end of m elements, and its gradient and Hessian by their bends (2 m)."""
     positions, frames, middles = _curve(bent, h)
     turns = (frames[:-1] @ _spins(bent)).transpose(0, 2, 1)
     halves = (frames[:-1] @ (0.5 * _spins(0.5 * bent))).transpose(0, 2, 1)

@@ -77,7 +77,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
 
 @inlined
 def load_matrix(numbers: Array) -> Matrix:
-    """Return the matrix that the first nine numbers of an array contain by rows."""
+    """Return the 3 x 3 matrix whose rows are the first nine numbers of an array."""
     return Matrix(
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8]
     )

@@ -1,7 +1,7 @@
 """The paper's sub-link: the closed form (15)-(16), second order, and its derivative, eqs. (17)-(19).
 
-Every rate is linear along the sub-link, so its integral is a parabola. The orientation is updated with a rotation
-matrix, so R stays a rotation.
+The rate of each variable is taken as linear along the sub-link, so the variable is a parabola. The orientation R is
+multiplied by a rotation matrix, so R stays a rotation.
 """
 
 from core.compiled import compiled, replaced

@@ -1,37 +1,39 @@
-"""Second variation of the elastic energy about a shape: whether the shape is stable.
+"""Stability of a robot's shape, from the Morse index of its energy: the number of independent negative directions.
 
-A shape is stable when every small change increases its energy. The determinant of the end conditions changes sign once
-for every direction that becomes negative, so two negative directions leave the sign unchanged. This module counts all
-negative directions, along the whole length at once (the Morse index; by Jacobi's condition the number of conjugate
-points between tip and plate).
+A shape is stable if every small change of the shape increases the energy: the second variation Q of the energy is
+positive. A change with Q < 0 is a negative direction. The largest number of linearly independent negative directions
+is the Morse index; by Jacobi's condition it is the number of conjugate points between tip and plate. A stable shape has
+the index 0. The sign of the stability margin `Solution.stability` (a determinant) only shows whether the index is even
+or odd. This module therefore counts the negative directions, for the whole length of the robot in one matrix.
 
-A change is a rotation a d1 + b d2 of the cross-sections, common to all tubes because they share one curve, and a twist
-psi_i of each tube about the tangent. In the frame (d1, d2, t) of `propagation`, which does not twist, let k be the
-curvature, w_i the precurvature of tube i, M the moment, n the force, and c = b k_x - a k_y. Then
+A change of the shape rotates each cross-section by a d1 + b d2, equally for all tubes because they share one curve, and
+twists each tube i by psi_i about the tangent t. (d1, d2, t) is the frame of `propagation`, which does not twist. In
+this frame k is the curvature, w_i the precurvature of tube i, M the moment, n the force, and c = b k_x - a k_y. Then
 
     2 Q = int  sum EI_i ((a')^2 + (b')^2) + 2 sum EI_i psi_i (a' w_iy - b' w_ix) + sum EI_i psi_i^2 k . w_i
              + sum GJ_i (psi_i' + c)^2 + c (M_y a - M_x b) - M_z (a b' - b a') + n_t (a^2 + b^2)  ds
           + sum GJ_i psi_i(0)^2 / -beta_i,        a = b = 0 at the plate.
 
-The last sum is the twist behind the plate. Linear elements between the cross-sections of a pass turn the form into a
-banded matrix. A moment at the tip has no potential; only the symmetric part of its contribution is used. Under such a
-moment, a shape without negative direction is still stable, but a shape with one is not necessarily unstable.
+The last sum is the energy of the twist of the tubes behind the plate. The functions a, b and psi_i are linear between
+neighbouring cross-sections, so 2 Q becomes a quadratic form with a banded matrix. A moment at the tip has no potential
+energy; only the symmetric part of its contribution is used. Under such a moment, a shape without a negative direction
+is still stable, but a shape with a negative direction is not necessarily unstable.
 """
 
 import numpy as np
 
 from core.robot.robot import Array, Robot
 
-#: Stiffness that represents a clamped end, divided by the stiffness of the clamped tubes [1/m].
+#: Stiffness of the spring that represents a clamped end, divided by the stiffness EI or GJ of the tubes [1/m].
 CLAMP_STIFFNESS = 1e9
 #: Smallest energy drop of a negative direction, as a fraction of (EI / length^2 + force) times the square of the
-#: change. The threshold excludes discretisation errors and neutral directions (a straight tube bends equally to any
-#: side).
+#: change. The threshold excludes discretisation errors, and neutral directions, in which the energy does not change: a
+#: straight tube, for example, bends equally to any side.
 MIN_ENERGY_DROP = 2e-3
 
 
 def precurvature(robot: Robot, beta: Array, lengths: Array) -> tuple[Array, Array]:
-    """Return EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] of the tubes at `lengths` (m,) [m]; 0 beyond a tube."""
+    """Return the tubes' EI (m, q) [N m^2] and precurvature (m, q, 2) [1/m] at arc lengths (m,) [m]; 0 beyond a tube."""
     stiffness, curvature = np.zeros((lengths.size, beta.size)), np.zeros((lengths.size, beta.size, 2))
     for i, count in enumerate(robot.layout.counts):
         section = np.searchsorted(beta[i] + robot.layout.ends[i, :count], lengths, side="right")
@@ -42,7 +44,7 @@ def precurvature(robot: Robot, beta: Array, lengths: Array) -> tuple[Array, Arra
 
 
 def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> int:
-    """Count the independent directions in which the energy falls: 0 when the shape is stable.
+    """Return the number of independent shape changes that lower the energy: 0 if the shape is stable.
 
     Args:
         robot: the tubes.
@@ -64,7 +66,7 @@ def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: flo
 
 
 def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Array) -> Array:
-    """Return the matrix of 2 Q in the values at the cross-sections, as upper bands (2 (q + 2), unknowns)."""
+    """Return the matrix of the quadratic form 2 Q of a, b, psi_i at all cross-sections, as upper bands."""
     q = len(robot.tubes)
     beta, ratio = robot.tube_poses(joints)[1], robot.layout.stiffness[:, 1]
     path = path[np.append(np.diff(path[:, 0]) > 1e-9, True)]
@@ -80,7 +82,7 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     total = bend.sum(axis=1)
     k = (np.einsum("mi,mik->mk", bend, w) + moment[:, :2]) / total[:, None]
 
-    # Quadratic form of the values (a, b, psi) and their slopes (da, db, dpsi) in the middle of each element.
+    # Integrand of 2 Q in the middle of each element: a form of the values (a, b, psi) and slopes (da, db, dpsi).
     size = q + 2
     form = np.zeros((h.size, 2 * size, 2 * size))
     a, b, da, db = 0, 1, size, size + 1

@@ -2,10 +2,10 @@
 
 The unknowns at the plate are the torsion u_iz of every tube and the moment M(0). The end conditions are u_iz = 0 at
 each tube's distal end (the innermost tube carries the axial part of a tip moment) and M = the tip moment. One pass
-along the tubes gives the derivatives for the Newton step. With the implicit function theorem these derivatives also
-give the change of the unknowns with joints and load. J (by the joints) and C (by the load) include this change, so they
-are the derivatives of the *solved* tip. The determinant of the same matrix is the margin of stability,
-`Solution.stability`.
+along the tubes gives the end conditions and their derivatives for the Newton step. With the implicit function theorem
+these derivatives also give the change of the unknowns with joints and load. J (derivative by the joints) and C (by the
+load) include this change, so they are the derivatives of the *solved* tip. The determinant of the end conditions'
+derivative by the unknowns is the margin of stability, `Solution.stability`.
 """
 
 import math
@@ -46,15 +46,15 @@ MAX_SUBLINK_BEND_RAD = 0.08
 MAX_TURN_RAD, MAX_LOAD_SHARE = 0.5, 0.25
 #: Largest mismatch between forward and backward prediction of one continuation step [rad over the whole length].
 MAX_PREDICTION_MISMATCH_RAD = 0.25
-#: Smallest continuation step as a fraction of the path; if continuation needs a smaller step, the tubes snap there.
+#: Smallest continuation step as a fraction of the path. Where a smaller step would be needed, the tubes snap.
 MIN_STEP_SHARE = 1e-3
-#: Largest number of steps of one continuation; if it needs more steps, the load is out of reach.
+#: Largest number of steps of one continuation, including rejected steps.
 MAX_STEPS = 200
-#: Distances beyond a snap at which the relaxation of the tubes starts, as fractions of the path.
+#: Distances beyond a snap, as fractions of the path, at which `relaxation` tries to find the shape after the snap.
 RELEASE_SHARES = (1e-3, 2e-2, 0.2)
 #: Largest number of snaps that one continuation follows.
 MAX_SNAPS = 4
-#: Element lengths for a relaxation [m]; the second is used if Newton's method fails from the first one's result.
+#: Element lengths of a relaxation [m], tried in this order until one leads to a stable shape.
 RELAXATION_ELEMENTS_M = (0.02, 0.005)
 #: Largest distance between cross-sections in the count of negative directions [m].
 SECTION_SPACING_M = 0.005
@@ -84,8 +84,8 @@ class Statics:
         Args:
             joints: positions (n,) [rad or m], in the order of `robot.joints`.
             wrench: force and moment (6,), world frame [N, N m]; the moment acts at the tip.
-            near: a nearby solution, whose branch the solve follows. None: the solve follows the robot from rest
-                (aligned, unloaded tubes) and returns a stable shape.
+            near: a nearby solution; the solve follows its branch to the new pose and load. None: the solve follows the
+                shape from rest (aligned, unloaded tubes) and returns a stable shape.
             contact: arc length from the plate at which the force acts [m]; None for the tip.
 
         Raises:
@@ -125,9 +125,9 @@ class Statics:
     def negative_directions(self, solution: Solution) -> int:
         """Count the independent directions in which the elastic energy falls: 0 when the shape is stable.
 
-        A cold solve includes this check; a warm solve checks only the sign of the stability margin. A moment at the tip
-        has no potential energy. Under such a moment 0 still means stable, but a larger count does not prove
-        instability.
+        A cold solve (without `near`) includes this check; a warm solve checks only the sign of the stability margin. A
+        moment at the tip has no potential energy. Under such a moment a count of 0 still means stable, but a larger
+        count does not prove instability.
         """
         return negative_directions(
             self.robot, solution.joints, solution.wrench, solution.contact, self._sections(solution)
@@ -193,13 +193,13 @@ class Statics:
             found = direct
         if self.negative_directions(found) == 0:
             return found
-        # Both methods may stay at an unstable equilibrium, such as a straight tube under axial load.
+        # Continuation and Newton's method may find an unstable equilibrium, such as a straight tube under axial load.
         relaxed = self._release(found, joints, wrench, contact)
-        # A moment at the tip has no potential: a shape may then be stable although its energy could fall.
+        # A moment at the tip has no potential energy: a shape may then be stable in spite of negative directions.
         return found if relaxed is None and wrench[3:].any() and found.stability > 0.0 else relaxed
 
     def _from_rest(self, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """Follow the shape from aligned, unloaded tubes: turn each tube the shorter way, then apply the load."""
+        """Follow the shape from aligned, unloaded tubes: turn each tube by at most half a turn, then apply the load."""
         aligned, short, no_load = joints.copy(), joints.copy(), np.zeros(6)
         outermost = float(self.robot.tube_poses(joints)[0][-1])
         for j, joint in enumerate(self.robot.joints):
@@ -219,10 +219,10 @@ class Statics:
     def _follow(
         self, start: Solution, joints: Array, wrench: Array, contact: float, snaps: int = MAX_SNAPS
     ) -> Solution | None:
-        """Follow the branch from `start` on a straight line to the pose and the load, in sufficiently short steps.
+        """Follow the branch of `start` to a pose and load, along the straight line between both, in short steps.
 
-        Where the branch ends, the tubes snap to another stable shape, and the path continues from it, at most `snaps`
-        times.
+        Where the branch ends, the tubes snap to another stable shape, and the continuation follows that shape, for at
+        most `snaps` snaps.
         """
         moved, loaded = joints - start.joints, wrench - start.wrench
         longest = 1.0 / max(1.0, np.abs(moved).max(initial=0.0) / MAX_TURN_RAD, float(loaded.any()) / MAX_LOAD_SHARE)
@@ -241,7 +241,7 @@ class Statics:
                 break
         if snaps == 0:
             return None
-        # The element chain snaps slightly earlier or later than the sub-links: relax beyond the end of the branch.
+        # The elements of `relaxation` snap slightly earlier or later than the sub-links: relax beyond the branch's end.
         for beyond in RELEASE_SHARES:
             to = done + beyond
             pose, load = joints - (1.0 - to) * moved, wrench - (1.0 - to) * loaded
@@ -252,7 +252,10 @@ class Statics:
         return None
 
     def _mismatch(self, here: Solution, there: Solution) -> float:
-        """Return how far two solutions mispredict each other [rad over the whole length]; large between branches."""
+        """Return the error with which each of two solutions predicts the other [rad over the length], at first order.
+
+        The error is large if the solutions are on different branches.
+        """
         move = np.concatenate((there.joints - here.joints, there.wrench - here.wrench))
         change = there.unknowns - here.unknowns
         q = len(self.robot.tubes)
@@ -262,7 +265,7 @@ class Statics:
         return length * float(misses.max())
 
     def _release(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
-        """Relax the tubes from `near` (None: untwisted); return the stable shape they reach, None if not found."""
+        """Relax the tubes from `near` (None: untwisted tubes); return the stable shape that they reach, or None."""
         force = np.append(wrench[:3], np.zeros(3))
         if np.linalg.norm(force) * RELAXATION_ELEMENTS_M[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
             return None  # the force bends the innermost tube strongly within one element and one sub-link
@@ -305,7 +308,7 @@ class Statics:
 
     @cached_property
     def compiled_arguments(self) -> tuple[Array, int, float, tuple[float, ...], tuple[float, ...]]:
-        """Arguments of `core.model.newton` in every solve: robot, order, sub-link, and the two widths."""
+        """Arguments of `core.model.newton` that are equal in all solves of this model: `_fixed`, then `_widths`."""
         return (*self._fixed, *self._widths)
 
     @cached_property
@@ -314,12 +317,15 @@ class Statics:
 
     @cached_property
     def _fixed(self) -> tuple[Array, int, float]:
-        """Arguments of every solve: robot, order, sub-link."""
+        """First arguments of `core.model.newton`: the packed robot, the integrator's order, the sub-link length [m]."""
         return self.robot.packed, self._scheme.order, self._scheme.sublink
 
     @cached_property
     def _widths(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Numbers of tubes and of derivative columns (in whole vector registers), for the compiler."""
+        """Two tuples whose lengths are constants to the compiler: the numbers of tubes and of derivative columns.
+
+        The number of columns is rounded up to a multiple of 4, which fills whole vector registers.
+        """
         q, n = len(self.robot.tubes), len(self.robot.joints)
         return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 4) * 4)
 
@@ -330,7 +336,7 @@ def suitable_integrator(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> Integ
 
 
 def sublink_bend(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> float:
-    """Return the angle by which the most curved section of all tubes bends a sub-link of this length [rad]."""
+    """Return the bend of a sub-link of length `sublink` [m] in the most curved section of all tubes [rad]."""
     return sublink * max(math.hypot(*section.curvature) for tube in robot.tubes for section in tube.sections)
 
 

@@ -1,22 +1,26 @@
-"""Test whether a robot has exactly one shape at given translations, for all rotations and directions of the force.
+"""Sufficient test whether a robot has only one shape at given translations, for all rotations and force directions.
 
-If there is only one shape, Newton's method may start anywhere: its solution is the shape that the robot reaches from
-rest, and this shape is stable. The variables are those of `relaxation`: the curvature k of the common curve and the
-rotations theta_i, without constraints between them. The second variation of the elastic energy is
+If the robot has only one shape, Newton's method may start from any guess: it can only find this shape, which is stable.
+The test shows that the second variation of the robot's energy is positive at every equilibrium. The energy is the
+elastic energy minus the work of the force F on the tip. Its variables are the curvature k(s) of the curve that all
+tubes share, and the rotation theta_i(s) of each tube i; s is the arc length. These variables are independent of each
+other. For changes dk and psi_i of k and theta_i, the second variation is
 
     int B |dk|^2 - 2 dk . v + sum EI_i psi_i^2 k . w_i + sum GJ_i psi_i'^2 ds + sum GJ_i psi_i(0)^2 / -beta_i - F . d2r
 
-with w_i the precurvature of tube i, w_i' its derivative by theta_i, v = sum EI_i psi_i w_i' and B = sum EI_i. At any
-equilibrium B k = sum EI_i w_i + M, |M| <= |F| (L - s), and |d2r| <= int y^2 with y' = |dk|. So the second variation is
-at least
+Here w_i is the precurvature of tube i, w_i' its derivative by theta_i, v = sum EI_i psi_i w_i', B = sum EI_i, d2r the
+second variation of the tip's position, and -beta_i the length of tube i behind the plate. At any equilibrium of a robot
+of length L, B k = sum EI_i w_i + M with a moment |M| <= |F| (L - s). Also |d2r| <= int y^2 ds with y' = |dk|. Therefore
+the second variation is at least
 
     int (B y' - V)^2 / B - |F| y^2 + sum GJ_i p_i'^2 - sum_{i<j} EI_i EI_j / B |w_i| |w_j| (p_i + p_j)^2
         - sum EI_i |w_i| |F| (L - s) / B p_i^2 ds + sum GJ_i p_i(0)^2 / -beta_i,
     p_i = |psi_i|, V = sum EI_i |w_i| p_i.
 
-This lower bound does not depend on the shape. Where the bound is positive, every equilibrium is a strict minimum of the
-energy. Between two minima there would be a saddle, so there is only one. For two tubes without load this is the
-condition that a design does not snap (`robot.stability`); for a single straight tube it is Euler's load.
+This lower bound does not depend on the shape. If the bound is positive, every equilibrium is a strict minimum of the
+energy. Between two minima there would be a saddle, which is an equilibrium but not a minimum. So there is only one
+equilibrium. Without `SAFETY_FACTOR`, the bound reproduces two known limits: for two tubes without load the
+snap condition of `robot.stability`, and for a single straight tube Euler's buckling load.
 """
 
 import numpy as np
@@ -40,7 +44,7 @@ def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...
         layout: the robot.
         beta: proximal ends of the tubes (q,) [m].
         force: largest size of the tip force, in any direction [N].
-        tubes: a tuple of length q, see `propagation.propagate`.
+        tubes: a tuple whose length is the number of tubes q, see `propagation.propagate`.
 
     Returns:
         True if the test proves uniqueness and stability; False leaves both open.
@@ -91,7 +95,7 @@ def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...
 def _element(
     form: Array, h: float, total: float, bend: Array, pull: Array, ratio: Array, force: float, arm: float, size: int
 ) -> None:
-    """Fill the form of one element in the unknowns at its two ends (2 (q + 1), square)."""
+    """Write the lower bound of one element to `form`: a quadratic form in y and p_i at its two ends (2 (q + 1))."""
     form[:] = 0.0
     # Weights of y', y and p in the middle of the element, expressed by the values at both ends.
     even, odd = 0.25 * h, 1.0 / h
@@ -117,7 +121,7 @@ def _element(
 
 @compiled
 def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> None:
-    """Add the product of mid values i and j with weight 4 `even`, and of their end differences with weight `odd`."""
+    """Add 4 `even` times the product of variables i and j mid-element, and `odd` times that of their differences."""
     form[i, j] += even + odd
     form[i, size + j] += even - odd
     form[size + i, j] += even - odd
@@ -126,7 +130,10 @@ def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> Non
 
 @compiled
 def _is_positive(carried: Array, form: Array, size: int) -> bool:
-    """Eliminate the near end of an element; return whether the form is positive; `carried` moves to the far end."""
+    """Eliminate the unknowns at an element's proximal end, and return whether all pivots are positive.
+
+    `carried` is the form that remains of all elements before; it is replaced by the form at the element's distal end.
+    """
     for i in range(size):
         for j in range(size):
             form[i, j] += carried[i, j]

@@ -28,8 +28,8 @@ SMALL_MOVES, LARGE_MOVES = {"rad": 0.25, "m": 0.010}, {"rad": 1.2, "m": 0.015}
 MOVE_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 #: Assumed error of the model before the tubes are calibrated [m].
 MODEL_ERROR_M = 1e-3
-#: Oscillation of the joints that determines the latency: distance between its turning points [rad, m], period and
-#: duration [s].
+#: Oscillation of the joints that determines the latency: peak-to-peak displacement (the distance between the turning
+#: points) by the joint's unit [rad, m], period [s] and duration [s].
 SWING_AMPLITUDES, SWING_PERIOD_S, SWING_DURATION_S = {"rad": 0.25, "m": 0.006}, 8.0, 16.0
 
 
@@ -52,7 +52,7 @@ def axes(subject: PlanSubject) -> Procedure[AxesResult]:
     """Find the axes' signs by small moves and, if no axis is reversed, the tubes' zero angles by larger moves.
 
     Raises:
-        Unobservable: the signs are ambiguous.
+        UnobservableCombination: the signs are ambiguous.
         Unreachable: the limits allow no move of a joint.
     """
     measurements: list[Measurement] = []
@@ -108,7 +108,7 @@ def latency(subject: PlanSubject) -> Procedure[LatencyResult]:
     """Find the latency of the tracker from a swing of the joints and the model's tip.
 
     Raises:
-        Unobservable: the swing was too slow.
+        UnobservableCombination: the swing was too slow.
     """
     yield GoToPose(subject.start, 0.0, 0.0)
     amplitudes = np.array([SWING_AMPLITUDES[joint.unit] for joint in subject.robot.joints])

@@ -34,7 +34,7 @@ class OperatorPrompt(NamedTuple):
 class SwingMotion(NamedTuple):
     """Step that oscillates all joints from their present positions; its answer is a `SwingRecord`."""
 
-    amplitudes: Array  #: (n,) largest displacement of each joint from its start position [rad or m]
+    amplitudes: Array  #: (n,) peak-to-peak displacement of each joint, to one side of its start [rad or m]
     period: float  #: period of the oscillation [s]
     duration: float  #: duration of the oscillation [s]
     done: float

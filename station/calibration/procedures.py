@@ -90,7 +90,7 @@ def tracker(subject: PlanSubject, effort: Effort) -> Procedure[TrackerResult]:
     """Find the registration of the tracker, and position and axis of the coil, from poses without load.
 
     Raises:
-        Unobservable: the poses inside the limits do not determine the parameters.
+        UnobservableCombination: the poses inside the limits do not determine the parameters.
         Unreachable: no pose is inside the limits.
     """
     poses, _ = subject.tour((), np.zeros(3), effort.unloaded, None, subject.start)
@@ -110,7 +110,7 @@ def force(subject: PlanSubject, effort: Effort) -> Procedure[ForceResult]:
     """Find offsets, drift, mounting and hanging weight of the base sensors; known weights check the result.
 
     Raises:
-        Unobservable: the poses inside the limits do not determine the parameters.
+        UnobservableCombination: the poses inside the limits do not determine the parameters.
         Unreachable: no pose is inside the limits.
     """
     reduced = replace(effort, unloaded=effort.unloaded // 2, loaded=effort.loaded // 2, check=0)
@@ -129,7 +129,7 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
     are fitted approximately first, then the tubes, then the sensors with the improved tip, and the tubes again.
 
     Raises:
-        Unobservable: the poses inside the limits do not determine the parameters.
+        UnobservableCombination: the poses inside the limits do not determine the parameters.
         Unreachable: no pose is inside the limits.
     """
     visited, visited_check = yield from _visits(subject, effort)

@@ -1,8 +1,8 @@
 """A virtual lab that simulates the bench at rest only, so that a procedure can be tested quickly with many seeds.
 
-This lab computes the average of a measurement directly instead of simulating two seconds of samples, and draws the
-average's noise at random. It has the same plant, hidden errors, play, friction, offsets, drift and counts as the
-wire-level lab, and adds up the duration of the moves.
+This lab computes the average of a measurement directly, with random noise, instead of simulating two seconds of
+samples. Its plant, hidden errors, play and friction are those of the lab with wire-level devices. Sensor offsets, drift
+and quantisation have the same size as there. The lab counts simulated time: the durations of moves, rests and handling.
 """
 
 import math
@@ -26,7 +26,7 @@ from station.lab.true_plant import true_plant
 from station.lab.unmodelled_errors import UnmodelledErrors
 
 Result = TypeVar("Result")
-#: Number of simulated steps of a move to a pose, so that play and friction follow the motion as on the bench.
+#: Number of simulated steps of a move to a pose. Play and friction depend on the path, so one step is not sufficient.
 PATH_STEPS = 20
 #: Time in which the operator hangs or removes a weight [s].
 HANDLING_TIME_S = 20.0
@@ -36,8 +36,13 @@ class StaticLab:
     """A simulated bench that is only measured at rest. `seed` determines everything random."""
 
     def __init__(self, subject: PlanSubject, config: LabConfig, seed: int) -> None:
-        """Create the lab; raises PoseError or NoSolution when the plant has no shape at the subject's start."""
-        # The random streams are those of the wire-level lab, so that plant and hidden errors are the same for a seed.
+        """Create the simulated bench at rest at the start pose of `subject`.
+
+        Raises:
+            PoseError, NoSolution: the plant (simulated real robot) has no shape at the start pose.
+        """
+        # `SimulatedBench` derives its random streams from the seed in the same way. A seed therefore gives the same
+        # plant and the same hidden errors in both labs.
         plant, tracker, sensors, unknown = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4))
         self._subject, self._config, self._rng = subject, config, sensors
         self.hidden = UnmodelledErrors(subject.file, config.hidden, unknown)
@@ -50,10 +55,11 @@ class StaticLab:
         self._offset = np.repeat([settings.force_offset, settings.moment_offset], 3) * sensors.uniform(
             -1.0, 1.0, (q, 6)
         )
-        # The wire-level lab gives each force sensor three random streams, the first for its line. Use the other two.
+        # `SimulatedNetft` creates three random streams per force sensor: lost datagrams, gain errors, signs of the
+        # moments' drift. This lab has no datagrams, so it uses only the other two.
         boxes = [box.spawn(3)[1:] for box in sensors.spawn(q)]
         self._skew = np.array([gain_errors(settings.gain, BoxSettings(), crossed) for crossed, _ in boxes])
-        self._wobble = sensors.spawn(1)[0]  # a separate random stream, so that the other draws do not change
+        self._wobble = sensors.spawn(1)[0]  # separate random stream, so that the other random numbers do not change
         self._drift = np.zeros((q, 6))
         self._drift[:, :3] = settings.drift * sensors.choice([-1.0, 1.0], (q, 3))
         self._drift[:, 3:] = settings.moment_drift * np.array([signs.choice([-1.0, 1.0], 3) for _, signs in boxes])

@@ -100,7 +100,7 @@ def validate(file: RobotFile, poses: Poses, extent: Extent, *, test: Poses | Non
 
     Raises:
         NoOrderError: the fit of a lag or of friction needs the times of the poses, which are missing.
-        Unobservable: the poses are too few to fit even the frames.
+        UnobservableCombination: the poses are too few to fit even the frames.
     """
     if hysteresis and not all(each.timed for each in (poses, test) if each is not None):
         raise NoOrderError(
@@ -246,7 +246,7 @@ def calibration(validation: Validation) -> TubeCalibration:
     """Return the fitted tubes, frames and lags.
 
     Raises:
-        Unobservable: the tubes could not be fitted, or their fit was not requested.
+        UnobservableCombination: the tubes could not be fitted, or their fit was not requested.
     """
     best = validation.best
     if best.fit is None or best.extent not in ("tubes", "friction"):

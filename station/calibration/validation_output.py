@@ -1,4 +1,4 @@
-"""Writes the files of a validation: numbers, the error of every pose, the report, and the fitted robot."""
+"""Writes the result files of a comparison between model and measured poses, and its text for the terminal."""
 
 import csv
 import json
@@ -20,14 +20,15 @@ from station.config.strict import ConfigError
 from station.devices.aurora.tracker import TrackerMounting
 
 ERRORS_FILE = "errors.csv"
-#: Largest number of left-out rows that the terminal shows; the report lists more.
+#: Largest number of left-out rows of a poses file that the terminal lists; the report lists more.
 MAX_PRINTED_ROWS = 10
-#: Identity transform of the measured points, because they are already in the tracker's frame.
+#: Assumed mounting of the tracker for the registration file: the identity, because measured points from a file are in
+#: the tracker's own frame.
 IDENTITY_REGISTRATION = TrackerMounting(np.eye(3), np.zeros(3))
 
 
 def write_validation(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
-    """Write report.html, report.json and errors.csv to `folder`, and return the numbers.
+    """Write report.html, report.json and errors.csv to `folder`; return the numbers of report.json.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -36,10 +37,12 @@ def write_validation(folder: Path, validation: Validation, when: str) -> dict[st
 
 
 def write_calibration(folder: Path, validation: Validation, when: str) -> dict[str, Any]:
-    """Write the files of a validation, and robot.toml and registration.toml for `--calibration` of other commands.
+    """Write the files of `write_validation`, robot.toml (fitted tubes) and registration.toml (fitted frames).
+
+    Other commands read robot.toml and registration.toml with the option `--calibration`.
 
     Raises:
-        Unobservable: the tubes could not be fitted.
+        UnobservableCombination: the tubes could not be fitted.
         ConfigError: the folder cannot be written to.
     """
     found = calibration(validation)
@@ -62,7 +65,7 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
 def _written(
     folder: Path, title: str, validation: Validation, when: str, more: dict[str, Any], names: Sequence[str]
 ) -> dict[str, Any]:
-    # Imported here because importing the library for figures takes a second.
+    # This import loads the library for figures, which takes a second.
     from station.calibration.validation_report import write_report
 
     values = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS_FILE]}
@@ -92,7 +95,7 @@ def _location(poses: Poses) -> str:
 
 
 def tables(validation: Validation) -> list[Table]:
-    """Return the tables of errors and results for the terminal."""
+    """Return the tables for the terminal: errors of each fit, and fitted parameters if there are any."""
     from station.calibration.validation_report import error_rows
 
     title = f"{validation.robot.name}: {_location(validation.poses)}"
@@ -114,7 +117,7 @@ def tables(validation: Validation) -> list[Table]:
 
 
 def sentences(validation: Validation) -> list[str]:
-    """Return the findings, and sentences about the first rows that were left out."""
+    """Return the lines for the terminal: findings, and the first left-out rows of both poses files with the reasons."""
     lines = findings(validation)
     for poses in (validation.poses, validation.test):
         left = () if poses is None else poses.left_out

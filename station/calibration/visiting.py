@@ -38,7 +38,8 @@ class SwayMotion:
     def at(self, time: float) -> JointMotion:
         """Return the joint velocities at `time` [s] after the start.
 
-        The displacement, amplitude times (1 - cos) / 2, starts and ends at rest at the start positions.
+        The displacement from the start positions is amplitude * (1 - cos) / 2, so `amplitudes` are peak-to-peak values.
+        The oscillation starts and ends at rest at the start positions.
         """
         return JointMotion(0.5 * self._rate * math.sin(self._rate * time) * self._amplitudes)
 

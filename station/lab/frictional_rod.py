@@ -1,23 +1,26 @@
 """The exact rod with effects of real hardware: friction and clearance between the tubes, weight, and base reactions.
 
-Tubes that bend each other transfer moments by couples. At a tube's end, and where a tube's precurvature changes, the
-tube's bending moment jumps by dM. The two forces dM / d of the couple, a length d apart, cause friction of at most
+At a tube's end, and where a tube's precurvature changes, the tube's bending moment jumps by dM. Its neighbour transfers
+this jump by a couple: two contact forces dM / d, a length d apart. These forces cause friction of at most
 
     T = 2 mu |dM| / d                                   (Lock and Dupont 2011: |tau| <= c |dM|, c = 2 mu r / d)
 
-between neighbouring tubes. The direction of the friction combines rotation (a torque r T about the tangent) and
-sliding. Friction follows Dahl's law along a relative path x: dT/dx = (T_max e - T |dx|) / x_s. It depends on the past
-motion, not on time. The torque enters the torsion of both tubes as a jump of GJ u_z, so torque and shape are solved
-together.
+between neighbouring tubes, with the friction coefficient mu and the contact radius r. Friction resists both relative
+rotation (by a torque r T about the tangent) and sliding. Along the relative path x it follows Dahl's law
 
-Clearance (Ha, Fagogenis and Dupont 2019): over the last d = sqrt(6 g / du) of a tube, the inner tubes bend freely. On
-this length d, tubes whose curvatures differ by du cross the gap g. The inner tubes leave the outer tube rotated by
-du_bundle d / 2.
+    dT = (T_max dx - T |dx|) / x_s
 
-Each base carries one tube: the bending moment K_i (u - u_i^) and the torque GJ_i u_iz at the plate, and the shear
-t x m_i'. The force along z follows from n_i . t + m_i . u_i - W_i. This sum is constant along a tube whose neighbours
-push only perpendicular to the tube. It changes only at the tube's end, at steps of its precurvature, and by friction
-and weight.
+and therefore depends on the past motion, not on time. The torque enters the torsion of both tubes as a jump of GJ u_z,
+so torque and shape are solved together.
+
+Clearance (Ha, Fagogenis and Dupont 2019): the inner tubes bend freely over the last part of the outer tube. Its length
+is d = sqrt(6 g / du), on which tubes whose curvatures differ by du cross the gap g. The inner tubes leave the outer
+tube rotated by du_bundle d / 2, where du_bundle is the change of the bundle's curvature at the outer tube's end.
+
+Each base carries one tube: the tube's bending moment K_i (u - u_i^), torque GJ_i u_iz and shear t x m_i' at the plate,
+and a force along z. The force along z follows from the invariant n_i . t + m_i . u_i - W_i, where W_i is the elastic
+energy per length. The invariant is constant along a tube whose neighbours push only perpendicular to the tube. It
+changes only at the tube's end, at steps of its precurvature, and by friction and weight.
 """
 
 from typing import NamedTuple
@@ -33,7 +36,7 @@ from station.lab.friction import dahl_friction
 class FrictionContact(NamedTuple):
     """Parameters of the contact between tubes, and their weight."""
 
-    grip: float  #: 2 mu / d: friction force per transferred moment [1/m]
+    grip: float  #: 2 mu / d: largest friction force per transferred moment [1/m]
     stick: float  #: x_s, path over which friction reverses [m]
     gap: float  #: difference of the facing diameters [m]
     radius: Array  #: (q,) contact radius of each tube with the tube around it [m]
@@ -50,7 +53,7 @@ def slots(layout: Layout) -> int:
 
 @compiled
 def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, moments: Array) -> None:
-    """Write the bundle's curvature u (2,) and each tube's bending moment (q, 2), axes of the innermost tube."""
+    """Write the bundle's curvature to `u` (2,) and each tube's bending moment (q, 2), axes of the innermost tube."""
     q = bend.shape[0]
     u[0], u[1] = y[7], y[8]
     for i in range(q):
@@ -249,7 +252,7 @@ def integrate(
         if finished:
             size = np.sqrt(step_u[0] * step_u[0] + step_u[1] * step_u[1])
             if rough.gap > 0.0 and size > 0.0:
-                # The term 1e-4 keeps `half` smooth for a vanishing curvature step, where the kink has no direction.
+                # The term 1e-4 keeps `half` finite if the curvature step vanishes, where the kink has no direction.
                 half = 0.5 * np.sqrt(6.0 * rough.gap * ended / (stiffness * np.sqrt(size * size + 1e-4)))
                 # Over that length, on average half of the transferred moment does not twist the tubes yet.
                 for i in range(neighbours + 1):
@@ -336,14 +339,14 @@ def settle(
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases)
     residual = largest(ends)
-    exact, stale = False, not inverse.any()  # state of the derivative: exact at this point; to be recomputed
+    exact, stale = False, not inverse.any()  # derivative: computed at this point; must be recomputed
     iterations = 0
     while residual > tolerance and iterations < 80:
         if stale:
             matrix = np.empty((size, size))
             for k in range(size):
                 copy(unknowns, trial)
-                # This difference is so small that all points stay on one side of a reversal of friction.
+                # The difference is so small that friction does not change its direction within it.
                 trial[k] += 1e-8
                 integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
                 for i in range(size):
@@ -390,7 +393,8 @@ def settle(
                     inverse[i, k] += scale * along[k]
         stale = new_residual > 0.3 * residual
         exact = False
-        # A short step with an exact derivative is accepted even if the residual grows: the next derivative differs.
+        # A short step with an exact derivative is accepted even if the residual grows, because the derivative changes
+        # where friction reverses.
         copy(trial, unknowns)
         copy(moved, ends)
         residual = new_residual

@@ -1,9 +1,9 @@
-"""The paper's own variables, eqs. (6)-(16) with Euler angles, for comparison only.
+"""The model in the paper's variables, eqs. (6)-(16) with Euler angles, only for comparison with `cross_section`.
 
 R = Rx(theta_1) Ry(theta_2) Rz(theta_i3), with theta_1 and theta_2 common to all tubes. The angles are singular where
-the tangent points along +-x: cos(theta_2) = 0. The model in use (`cross_section`) has no singularity. `euler_tip`
-integrates once from the base unknowns of a solution of that model; the tips of both models agree to the integrator's
-order.
+the tangent points along +-x: cos(theta_2) = 0. The model that the solver uses (`cross_section`) has no singularity.
+`euler_tip` integrates once, from the base unknowns of a solution of `cross_section`. The tips of both models agree to
+the order of the integrator.
 """
 
 import numpy as np

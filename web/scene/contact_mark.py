@@ -8,9 +8,10 @@ from station.config import palette
 from web.scene.contact import SideLoad
 from web.scene.tubes import centre_line
 
-#: Number of points along each drawn section of the shaft.
+#: Number of points of the line that marks each section of the shaft.
 MARK_POINTS = 24
-#: Diameter of the section's line and radius of the marker [m]; both are larger than the tubes, to be visible.
+#: Diameter of the line that marks the 95 % section of the shaft, and radius of the sphere at the contact's most likely
+#: position [m]. Both are thicker than the tubes, so that the tubes do not hide them.
 THICKNESS_M, MARKER_M = 4.4e-3, 3.2e-3
 
 

@@ -18,8 +18,9 @@ TIP_VIEW_HALF_EDGE_M = 0.03
 #: Fraction of the robot's lateral reach that the overview shows, because the tip is seldom at the limit of its reach.
 LATERAL_SHARE = 0.45
 
-_DOWN = (-1.0, 0.0, 0.0)  # upward direction of the screen, against gravity (+x)
-#: Two vectors of each view: from the centre to the camera (of any length), and the upward direction of the screen.
+#: Direction in the world frame that points up on the screen. Gravity acts along +x, so up is -x.
+_DOWN = (-1.0, 0.0, 0.0)
+#: Two vectors of each view, world frame: from the picture's centre to the camera (any length), and up on the screen.
 DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
     "Overview": ((-0.42, -0.85, 0.42), _DOWN),
     "Side": ((0.0, -1.0, 0.0), _DOWN),
@@ -58,7 +59,7 @@ class Camera(NamedTuple):
 
     eye: Array  #: position (3,) [m]
     centre: Array  #: point at the centre of the picture (3,) [m]
-    up: Array  #: upward direction (3,)
+    up: Array  #: direction (3,) that points up in the picture, world frame
 
 
 def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:

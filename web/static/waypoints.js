@@ -131,7 +131,7 @@ export function waypoints(rest, goThere) {
     URL.revokeObjectURL(link.href);
   }
 
-  /** Compare the robot's pose with the start pose to which the waypoints are relative, and warn if the robot is elsewhere. */
+  /** Warn if the robot is away from the start pose: waypoints are relative to the tip at the start of the motion. */
   function compareWithStart(status) {
     const start = origin(), tip = status?.tip_measured ?? null, isReady = status?.state === "READY";
     const atStart = start === null || status === null || rig.joints.every(({ name, unit: si }) => Math.abs(status.joints[name] - start.joints[name]) < NEAR_START[si]);

@@ -1,4 +1,4 @@
-"""Section III: the equations of each loop for the joints, compared with the loaded model."""
+"""Tests of the control strategies of the paper's section III: their equations, compared with the loaded model."""
 
 import math
 
@@ -22,7 +22,10 @@ def model(paper_robot):
 
 @pytest.fixture(scope="module")
 def view(model) -> LoopInputs:
-    """Return inputs of an inner loop while joints and load move steadily; rates are differences of model tips."""
+    """Return the inputs of an inner loop while the joints move at JOINT_RATE and the force changes at FORCE_RATE.
+
+    The rate of the deflection under load is a central difference of model tips. `drift` is an arbitrary vector.
+    """
     h = 1e-4
 
     def solved(time: float, load: float):
@@ -43,7 +46,7 @@ def view(model) -> LoopInputs:
 
 @pytest.fixture(scope="module")
 def tip_rate(model) -> np.ndarray:
-    """Return the tip velocity (3,) while joints and load move steadily, from differences of the solved tip."""
+    """Return the model's tip velocity (3,) [m/s] while joints and force change at JOINT_RATE and FORCE_RATE."""
     h = 1e-4
     ahead, behind = (
         model.solve(POSE + s * h * JOINT_RATE, np.r_[FORCE + s * h * FORCE_RATE, np.zeros(3)]).tip for s in (1, -1)
@@ -53,7 +56,11 @@ def tip_rate(model) -> np.ndarray:
 
 @pytest.mark.parametrize("inner", ["type_1", "type_1_exact"])
 def test_joint_velocity_from_a_type_1_loop_gives_the_requested_tip_velocity(inner, view, tip_rate):
-    """For the tip velocity of a known motion under a known load rate, the solution is that motion."""
+    """The requested tip velocity is that of a motion at JOINT_RATE while the force changes at FORCE_RATE.
+
+    The equation of a `type_1` or `type_1_exact` loop compensates the tip motion that the force causes, so its solution
+    must be JOINT_RATE.
+    """
     jacobian, velocity = INNER_LOOPS[inner](tip_rate, view)
 
     np.testing.assert_allclose(np.linalg.solve(jacobian, velocity), JOINT_RATE, rtol=0, atol=2e-6)
@@ -67,7 +74,7 @@ def test_loaded_jacobian_strategy_misses_the_tip_motion_that_the_load_causes(vie
 
 def test_type_2_compensates_every_tip_motion_not_caused_by_the_joints(view):
     u_int = np.array([1e-3, 0.0, -2e-3])
-    # the tip velocity X' that the observer estimates
+    # Tip velocity X' that an observer estimates: the parts from the joints, from the load, and from neither (drift).
     measured = view.loaded.jacobian[:3] @ JOINT_RATE + view.load_rate + view.drift
 
     jacobian, velocity = INNER_LOOPS["type_2"](u_int, view)
@@ -106,7 +113,10 @@ def test_dual_layer_is_equation_30_with_a_separate_gain_per_term():
 
 @pytest.mark.parametrize("k", [1.0, 2.5])
 def test_tip_with_equal_gains_follows_the_setpoint_with_a_first_order_lag(k):
-    """Eq. (31): a step is approached as 1 - exp(-k t), a sinusoid at w arrives as k / (k + jw)."""
+    """With K1 = K2 = k, eq. (31) gives the transfer function k / (k + s) from the setpoint to the tip.
+
+    The response to a unit step is 1 - exp(-k t). The gain of a sinusoid with angular frequency w is k / (k + jw).
+    """
     outer, dt = PositionMode(k, k), 1e-4
     tip, frequency = np.zeros(3), 2.0 * math.pi * 0.05
     for number in range(round(60.0 / dt)):

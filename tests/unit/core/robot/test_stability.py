@@ -16,7 +16,14 @@ TURN = (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation"))
 
 
 def pair(steepness: float, straight: float = 0.0, length: float = 0.1) -> Robot:
-    """Return two equally curved tubes with straight parts of `straight` [m]; (1 + nu) u^2 L^2 = `steepness`."""
+    """Return a robot of two tubes with the same shape: a straight proximal part, then a curve.
+
+    Args:
+        steepness: (1 + nu) u^2 L^2, for the curvature u of the curve, its length L and Poisson's ratio nu = 0.3.
+        straight: length of the straight proximal part [m].
+        length: length L of the curve [m].
+
+    """
     curved = Section(length, (math.sqrt(steepness / 1.3) / length, 0.0))
     sections = (Section(straight), curved) if straight else (curved,)
     inner = Tube("inner", (*sections, Section(1e-3)), 0.02, outer_diameter=1e-3, inner_diameter=0.5e-3)
@@ -26,7 +33,11 @@ def pair(steepness: float, straight: float = 0.0, length: float = 0.1) -> Robot:
 
 class TestSnapNumber:
     def test_the_snap_number_of_the_papers_tubes_with_adjacent_curves_is_the_closed_form(self, paper_robot):
-        """It is l k tan(k L), about 0.33; l is the mean straight length, weighted by the other tube's stiffness."""
+        """The snap number of two tubes whose curves start at the same arc length is l k tan(k L), here about 0.33.
+
+        l is the mean straight length of the two tubes, weighted by the stiffness of the other tube. L is the length of
+        the curves, and k^2 = (1 + nu) u^2 with the curvature u and Poisson's ratio nu.
+        """
         weighted = (0.012 * 0.0413 + 0.150 * 0.048) / (0.0413 + 0.048)
         k = math.sqrt(1.3) * 4.0
         expected = weighted * k * math.tan(k * 0.153)
@@ -57,7 +68,7 @@ class TestSnapNumber:
         robot = pair(steepness, 0.06)
         opposed = Statics(robot, 0.0025).solve(np.array([math.pi, 0.0]), UNLOADED)
         snaps = snap_number(robot, np.zeros(2)) > 1.0
-        # A cold start does not stay on the untwisted equilibrium: it finds a twisted shape.
+        # Opposed curves without twist are an equilibrium. If it is unstable, a cold start returns a twisted shape.
         twisted = np.abs(opposed.unknowns[:2]).max() > 1e-3
         assert opposed.stability > 0.0
         assert twisted == snaps
@@ -115,7 +126,7 @@ class TestMargin:
         )
 
     def test_the_stability_margin_falls_to_zero_where_rotated_tubes_snap(self):
-        """With continued rotation the tubes keep their shape until it becomes unstable, then snap to another shape."""
+        """The solver follows the shape over small rotations until the branch ends; there the tubes snap."""
         model = Statics(pair(3.5), 0.005)
         near, margins, twists = None, [], []
         for angle in np.arange(0.0, 1.2 * math.pi, 0.01):
@@ -126,7 +137,8 @@ class TestMargin:
 
         assert math.pi < 0.01 * snap < 1.2 * math.pi
         assert np.sign(twists[snap]) != np.sign(twists[snap + 1])
-        # The margin falls with the square root of the distance to the fold: its square is linear and ends there.
+        # Near the fold, where the branch ends, the square of the margin is linear in the angle. A line through the last
+        # squares is zero at the fold.
         squares = np.array(margins[snap - 6 : snap + 1]) ** 2
         line = np.polyfit(0.01 * np.arange(snap - 6, snap + 1), squares, 1)
         fold = -line[1] / line[0]

@@ -1,4 +1,4 @@
-"""The frictional plant: a rod with friction, clearance and weight, in which each base sensor carries its tube."""
+"""Tests of the frictional plant: an elastic rod with friction, clearance and weight; each base carries one tube."""
 
 import math
 from itertools import pairwise
@@ -38,7 +38,7 @@ def rough(paper_robot):
 
 
 def loop(points: int = 120) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return stage positions and tip forces along a closed loop."""
+    """Return pairs of stage positions [rad, rad, m] and tip force [N] along a closed path."""
     angles = np.linspace(0.0, 2.0 * math.pi, points + 1)
     return [
         (
@@ -57,10 +57,11 @@ def heavy(tube: Tube, density: float = 6450.0) -> float:
 def work(
     plant: FrictionalPlant, robot: Robot, path: list[tuple[np.ndarray, np.ndarray]], density: float = 0.0
 ) -> float:
-    """Return the work of load and stages on the tubes along a path [J], by the trapezoidal rule.
+    """Return the work that the tip load and the stages do on the tubes along a path [J], by the trapezoidal rule.
 
-    The guide's mouth bends an emerging straight tube by a moment M, and the tube pushes the mouth back along z by
-    M^2 / (2 EI). This force acts on the sensor, which bears the guide, and not on the stage that slides the tube.
+    Each tube emerges from a guide that is mounted on its base sensor. A bending moment M of the tube at the guide's
+    mouth causes an axial force M^2 / (2 EI) between tube and guide. The sensor measures this force, but the stage that
+    slides the tube does not carry it. Therefore `work` removes this force from the measured axial force.
     """
     rows = []
     for stages, force in path:
@@ -89,7 +90,7 @@ def test_frictional_plant_without_effects_equals_the_exact_rod(paper_robot, roug
 
 @pytest.mark.parametrize("changes", [{}, *({key: value} for key, value in EVERYTHING.items()), EVERYTHING], ids=str)
 def test_base_wrenches_of_the_frictional_plant_add_up_to_load_and_weights(paper_robot, rough, changes):
-    # Each base wrench is computed from its tube alone, so Newton's third law is a check and not an identity.
+    # The plant computes each base wrench from one tube alone. Nothing in it makes their sum equal load plus weight.
     plant = rough(**changes)
     weight = sum(heavy(tube, changes.get("density", 0.0)) * tube.length for tube in paper_robot.tubes)
 
@@ -123,7 +124,7 @@ def test_friction_between_the_tubes_changes_base_wrenches_and_shape(paper_robot,
         states = [one.advance(stages, np.zeros(3)) for one in (smooth, rubbing)]
     apart = states[1].wrenches - states[0].wrenches
 
-    # 3 to 8 N mm at each of three points brake the inner tube, so that the tip lags by millimetres.
+    # A friction torque of 3 to 8 N mm at each of three points brakes the inner tube, so the tip lags by millimetres.
     assert -24e-3 < apart[0, 5] < -9e-3
     assert apart[1, 5] == pytest.approx(-apart[0, 5], rel=0.3)
     assert 0.5e-3 < np.linalg.norm(states[1].truth.tip - states[0].truth.tip) < 5e-3
@@ -144,7 +145,7 @@ def test_sliding_a_tube_directs_friction_along_z_and_releases_the_wind_up(rough)
 
 
 def straight_in_curved() -> Robot:
-    """Return a straight tube in a stiff curved tube; without friction the tip follows every rotation."""
+    """Return a straight inner tube in a stiff curved outer tube; without friction the inner tube does not twist."""
     return Robot(
         "windup",
         (
@@ -156,7 +157,10 @@ def straight_in_curved() -> Robot:
 
 
 def hold() -> tuple[float, float]:
-    """Return the torque at both points where the outer tube starts or stops bending the inner tube, and GJ."""
+    """Return the friction torque of sliding at one friction point [N m], and GJ of the inner tube [N m^2].
+
+    The robot `straight_in_curved` has two friction points: where the outer tube's curve starts, and where it ends.
+    """
     handed = 0.04 * 40.0 / 40.04 * 4.0
     return 2.0 * MU * 1e-3 / COUPLE * handed, 0.04 / 1.3
 
@@ -185,7 +189,8 @@ def test_work_around_a_closed_path_equals_the_dissipation_of_friction():
         plant.advance(np.array([angle]), np.zeros(3))
     path = [(np.array([angle]), np.zeros(3)) for angle in (*there[::-1], *there)]
     torque, gj = hold()
-    # At each friction point the tube slides in both directions, less the wind-up of the part behind this point.
+    # The joint turns by 2 rad to each side. At a friction point the tube slips by less: after each reversal, the part
+    # of the tube between joint and friction point first unwinds and winds up in the new direction.
     slid = [2.0 * (2.0 - 2.0 * behind) for behind in (2.0 * torque * 0.02 / gj, torque * (0.02 + 0.15) / gj)]
 
     assert work(plant, robot, path) == pytest.approx(torque * sum(slid), rel=0.02)
@@ -203,13 +208,13 @@ def test_friction_between_the_tubes_never_generates_energy(paper_robot, rough, s
         return START + both[:3], both[3:]
 
     turns = [at(angle) for angle in np.linspace(0.0, 2.0 * math.pi, 201)]
-    work(plant, paper_robot, turns)  # move once around the loop first, so that the plant's history is that of the loop
+    work(plant, paper_robot, turns)  # first round: a further round starts and ends in the same state
     assert work(plant, paper_robot, turns) > 1e-3
 
 
 @pytest.mark.parametrize("changes", [{}, {"density": 6450.0}], ids=["bare", "heavy"])
 def test_work_around_a_closed_path_without_friction_is_zero(paper_robot, rough, changes):
-    # The innermost tube slides and turns, so its base must carry the correct share of the load along z, too.
+    # The innermost tube slides and turns, so the work is zero only if its base carries the correct force along z.
     plant, density = rough(**changes), changes.get("density", 0.0)
 
     assert abs(work(plant, paper_robot, loop(400), density)) < 1e-8
@@ -237,7 +242,8 @@ def test_friction_leaves_hysteresis_at_the_tip(rough):
             if abs(angle) < 1e-9:
                 tips[sense] = tip
 
-    # The hysteresis is twice a wind-up of two to four degrees at a lever of about 60 mm.
+    # The tube lags by a wind-up of 2 to 4 deg in each direction. At a lever of about 60 mm, twice this angle is 4 to
+    # 8 mm.
     assert 2e-3 < np.linalg.norm(tips[1.0] - tips[-1.0]) < 10e-3
 
 
@@ -251,12 +257,13 @@ def test_straight_tube_of_the_frictional_plant_sags_like_a_beam():
 
     assert weight == pytest.approx(0.127, abs=0.001)
     assert state.truth.tip[0] == pytest.approx(weight * 0.12**4 / (8.0 * 0.06), rel=1e-3)
-    # The moment is about the sensor, 30 mm behind the plate; the part of the tube inside the guide hangs on it, too.
+    # The moment is about the sensor, 30 mm behind the plate. The sensor also carries the 30 mm of tube in the guide.
     assert state.wrenches[0] == pytest.approx([weight * 0.15, 0.0, 0.0, 0.0, weight * 0.15**2 / 2.0, 0.0], abs=1e-6)
 
 
 def test_clearance_lets_the_inner_tube_leave_the_outer_one_early(paper_robot, rough):
-    # The expected tip is that of an outer tube whose curved part is shorter by half the boundary layer d.
+    # With clearance, the inner tube bends freely over the last length d of the outer tube. The tip is expected to move
+    # as if the outer tube's curved section were shorter by d / 2.
     angle, gap = math.pi / 2, 1e-4
     apart = 4.0 * math.sqrt(2.0)
     early = 0.5 * math.sqrt(6.0 * gap / apart)
@@ -286,7 +293,8 @@ def test_random_walk_of_the_precurvature_has_the_configured_deviation(paper_robo
         assert plant.advance(START, np.zeros(3), now=0.0).truth.tip == pytest.approx(still, abs=1e-7)
         hour.append(np.linalg.norm(plant.advance(START, np.zeros(3), now=3600.0).truth.tip - still))
 
-    # The walk changes the precurvature, which bends the tip away by about 60 mm, by 2 %.
+    # The precurvature deflects the tip by about 60 mm. Within an hour the walk changes the precurvature by 2 %
+    # (standard deviation), which moves the tip by about 1 mm.
     assert 0.5e-3 < float(np.sqrt(np.mean(np.square(hour)))) < 3e-3
 
 

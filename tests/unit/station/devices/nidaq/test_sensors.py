@@ -73,10 +73,12 @@ def test_sample_time_follows_from_its_number_even_if_read_late():
         now = tick * TICK + random.exponential(0.5e-3)  # time at which the delayed tick reads the card
         there = int(now * RATE)
         time = clock.middle(there - count, now)
-        # the true middle is the mean of the sample numbers count + 1 ... there, divided by RATE
+        # This read returns the samples count + 1 ... there. Sample k was taken at k / RATE, so their middle is the mean
+        # of the first and the last sample number, divided by RATE.
         errors.append(time - (count + there + 1) / 2.0 / RATE)
         count = there
-    # A read is between two samples, so the newest sample may already be up to one period old.
+    # The clock assumes that the least delayed read follows its newest sample at once. That sample may be up to one
+    # period (1 / RATE) old, so the computed times may be late by up to one period.
     assert 0.0 <= max(errors[200:]) - 0.0 <= 1.0 / RATE
     assert np.ptp(errors[200:]) < 0.1e-3
 
