@@ -19,14 +19,14 @@ TIP_VIEW_HALF_EDGE_M = 0.03
 LATERAL_SHARE = 0.45
 
 #: Direction in the world frame that points up on the screen. Gravity acts along +x, so up is -x.
-_DOWN = (-1.0, 0.0, 0.0)
+_UP = (-1.0, 0.0, 0.0)
 #: Two vectors of each view, world frame: from the picture's centre to the camera (any length), and up on the screen.
 DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
-    "Overview": ((-0.42, -0.85, 0.42), _DOWN),
-    "Side": ((0.0, -1.0, 0.0), _DOWN),
+    "Overview": ((-0.42, -0.85, 0.42), _UP),
+    "Side": ((0.0, -1.0, 0.0), _UP),
     "Above": ((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    "Front": ((0.0, 0.0, 1.0), _DOWN),
-    "Tip": ((-0.35, -0.65, 0.68), _DOWN),
+    "Front": ((0.0, 0.0, 1.0), _UP),
+    "Tip": ((-0.35, -0.65, 0.68), _UP),
 }
 VIEWS = tuple(DIRECTIONS)
 

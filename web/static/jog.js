@@ -121,7 +121,7 @@ $("jog").append(
     make("div", { className: "jog", style: "margin-top:10px" }, ...rig.joints.flatMap((joint, i) =>
       axisRow(joint.name, rig.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => jointText(joint, status))))),
   make("fieldset", {}, make("legend", {}, "Tip, world frame"),
-    make("p", { className: "small dim" }, "x: along gravity, down on the screen; z: along the straight tubes"),
+    make("p", { className: "small dim" }, "x points down, along gravity; z points along the tubes when they are straight"),
     make("div", { className: "rows" }, ...tip.elements),
     make("div", { className: "jog", style: "margin-top:10px" }, ...["x", "y", "z"].flatMap((name, i) =>
       axisRow(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`))))),
