@@ -32,7 +32,7 @@ JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUN
 #: Index of the first vector in an estimate's array, after the scalars.
 FIRST_VECTOR = 6
 #: Time constant with which the smoothed force approaches the filtered force [s].
-SMOOTHING_TIME_S = 10.0
+SMOOTHING_TIME_S = 30.0
 
 
 class EstimateFields(NamedTuple):

@@ -27,7 +27,7 @@ def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in
     )
     now = estimator.start(loaded, free, np.array([0.05, 0.0, 0.0]), loaded.tip)
     period, distances = 2.0, []
-    for tick in range(round(120.0 / PERIOD_S)):
+    for tick in range(round(300.0 / PERIOD_S)):
         angle = 2.0 * math.pi * tick * PERIOD_S / period
         force = np.array([0.05 + 0.02 * math.sin(angle), 0.0, 0.0])
         numbers = now.numbers.copy()
@@ -40,5 +40,5 @@ def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in
         )  # fmt: skip
         distances.append(float(np.linalg.norm(now.known.force_smooth - now.known.force_filtered)))
     first, second = np.array_split(distances, 2)
-    assert 0.0 < first.max() < 0.12
-    assert second.max() < 1.01 * first.max()
+    assert 0.0 < first.max() < 0.3
+    assert second.max() < 1.02 * first.max()
