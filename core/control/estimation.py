@@ -31,6 +31,8 @@ from core.robot.robot import Array
 JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT = range(6)
 #: Index of the first vector in an estimate's array, after the scalars.
 FIRST_VECTOR = 6
+#: Index of the estimated force at the tip in an estimate's array, row 17 of the vectors.
+FORCE_START = FIRST_VECTOR + 51
 #: Time constant with which the smoothed force approaches the filtered force [s].
 SMOOTHING_TIME_S = 30.0
 
@@ -103,6 +105,11 @@ class Estimate:
         if self._known is None:
             self._known = estimate_fields(self.numbers)
         return self._known
+
+    @property
+    def force(self) -> Array:
+        """(3,) estimated force at the tip, `known.load[FORCE]`; reading it is faster than `known` [N]."""
+        return self.numbers[FORCE_START : FORCE_START + 3]
 
     @property
     def observed(self) -> ObserverState:

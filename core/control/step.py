@@ -31,7 +31,7 @@ from core.control.tip_direction import (
     start_direction,
     update_direction,
 )
-from core.control.tip_force import FITS, FORCE, MISFIT, QUALITY, SINCE
+from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
 from core.control.tracker_velocity import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import NO_BOUNDS
@@ -244,7 +244,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
             )
         found = command(
             controller.strategy, controller.feedback, limits,
-            sample.joints, now, now.known.load[FORCE], order, tip, memory.origin, drift,
+            sample.joints, now, now.force, order, tip, memory.origin, drift,
             controller.aim, requested, null_space,
         )  # fmt: skip
     else:
@@ -284,7 +284,7 @@ def _direction_estimate(
         direction = axis if sample.direction is None else sample.direction
         direction = start_direction(controller.estimator, axis, direction)
         return direction._replace(measured_once=sample.direction is not None)
-    return update_direction(controller.estimator, last, now, now.known.load[FORCE], sample.direction, sample.tip_age)
+    return update_direction(controller.estimator, last, now, now.force, sample.direction, sample.tip_age)
 
 
 def _joint_motion(limits: Limits, joints: Array, requested: Array) -> CommandResult:

@@ -39,6 +39,7 @@ def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in
             force, np.zeros(3), np.zeros(3), -1.0, numbers,
         )  # fmt: skip
         distances.append(float(np.linalg.norm(now.known.force_smooth - now.known.force_filtered)))
+    np.testing.assert_array_equal(now.force, now.known.load[FORCE])
     first, second = np.array_split(distances, 2)
     assert 0.0 < first.max() < 0.3
     assert second.max() < 1.02 * first.max()
