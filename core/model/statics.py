@@ -165,7 +165,7 @@ class Statics:
         return path[:passed], state
 
     def _sections(self, solution: Solution) -> Array:
-        """Return closely spaced cross-sections (m, 16 + 2q), relative to the plate, in the world's axes."""
+        """Return the states (m, 16 + 2q) of m closely spaced cross-sections; positions are relative to the plate."""
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
         q, length = len(tubes), float(beta[0]) + self.robot.tubes[0].length

@@ -112,7 +112,7 @@ class SetpointStream:
         sent: float | None = None,
         direction: tuple[float, ...] | None = None,
     ) -> SetpointRequest:
-        """Return the request of a position, extrapolated with the velocity of the previous positions.
+        """Return the setpoint for a requested position, extrapolated with the velocity of the previous positions.
 
         The extrapolation is at most as fast as agreed. Its distance is at most that between the oldest and newest
         position of the velocity fit.

@@ -32,7 +32,7 @@ from tests.harness.calibration_seeds import calibrated
 
 #: Load of a weight that is lowered by hand within 1.5 s and taken off within 1.5 s.
 BY_HAND = {"kind": "ramps", "times": [5.0, 6.5, 15.0, 16.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
-#: Name, experiment, case and changed keys of each run; fig10 runs for only two of its ten periods after settling.
+#: Name, experiment, case and changed keys of each run. The experiment fig10 is shortened to two of its ten periods.
 RUNS = (
     ("fig8 as in the paper", "fig8", "type_1", {}),
     ("fig8 live default", "fig8", "regulation", {}),

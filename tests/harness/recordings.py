@@ -22,7 +22,7 @@ def channels(paper: RobotFile) -> Channels:
 
 @pytest.fixture(scope="session")
 def make_rows(channels: Channels) -> Callable[..., Array]:
-    """Return a function that makes different telemetry rows, with joints and forces for which the robot has a shape."""
+    """Return a function that makes random telemetry rows whose joints and forces the model can solve."""
 
     def make(count: int, first: int = 0) -> Array:
         rows = np.random.default_rng(first).normal(size=(count, len(channels)))

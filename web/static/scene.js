@@ -58,7 +58,7 @@ async function refresh() {
     const position = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
     const direction = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
     const targetText = `(${position}) mm${direction}`;
-    $("target-says").textContent = target.reachable ? `✓ ${targetText} in ${target.duration.toFixed(0)} s` : `✗ ${targetText}: ${target.reason}`;
+    $("target-says").textContent = target.reachable ? `✓ reachable: ${targetText}; the motion takes ${target.duration.toFixed(0)} s` : `✗ ${targetText}: ${target.reason}`;
     $("target-says").title = $("target-says").textContent;
     const status = latest();
     $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);

@@ -1,7 +1,7 @@
 """Encoding of the Foxglove WebSocket protocol for a server that only sends data; this module opens no socket.
 
-The protocol is specified at https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md. The subprotocol of
-Foxglove's SDK defines the same messages.
+The protocol is specified at https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md. Its subprotocol
+`foxglove.websocket.v1` and the subprotocol of Foxglove's SDK, `foxglove.sdk.v1`, have the same messages.
 """
 
 import json

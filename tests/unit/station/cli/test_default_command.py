@@ -24,7 +24,7 @@ COMMANDS = ("run", "report", "serve")
         ("run --help", "run --help"),
     ],
 )
-def test_command_is_moved_before_its_options_and_reads_every_argument(given: str, read: str) -> None:
+def test_options_before_the_command_are_moved_behind_it(given: str, read: str) -> None:
     assert move_command_first(given.split(), COMMANDS, "serve") == read.split()
 
 

@@ -83,7 +83,7 @@ def test_wait_for_a_hanging_emergency_stop_is_bounded(
     assert attempt.result(30.0) == StopOutcome(True, f"{NAME} reports: all stages have stopped at last")
 
 
-def test_closed_fallback_stop_without_an_attempt_reports_no_text(fallback_stop: Callable[[str], FallbackStop]) -> None:
+def test_stop_after_close_succeeds_without_calling_the_driver(fallback_stop: Callable[[str], FallbackStop]) -> None:
     stop = fallback_stop("lies")
     stop.close(30.0)
     assert stop(0.0) == StopOutcome(True, "")

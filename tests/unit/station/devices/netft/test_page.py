@@ -89,7 +89,7 @@ def test_counts_must_be_positive_finite_numbers(name, text):
 
 
 @pytest.mark.parametrize(("name", "text"), [("scfgfu", "n"), ("scfgfu", "N-m"), ("scfgtu", "N"), ("scfgtu", "")])
-def test_unknown_unit_of_the_page_is_refused_by_name(name, text):
+def test_unknown_unit_on_the_sensors_page_is_refused_with_its_name(name, text):
     with pytest.raises(PageError, match=f"<{name}> is '{text}'"):
         read_page(page(**{name: text}))
 
