@@ -10,11 +10,11 @@ from typing import Any
 from core.errors import CtrError
 from station.benchmarks.timer_probe import TimerProbe
 from station.config.controllers import PERIOD_S
+from station.config.loads import RaisedCosineLoad
 from station.config.motions import CircleMotion
 from station.control.realtime import last_core
 from station.control.ring import Ring
 from station.control.states import State
-from station.lab.loads import RaisedCosineLoad
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor

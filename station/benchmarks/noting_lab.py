@@ -10,8 +10,7 @@ from station.control.child_process import ChildProcess
 from station.control.realtime import freeze_garbage_collection, request_fifo, set_process_name
 from station.devices.config import BenchFile
 from station.devices.zaber.protocol import MESSAGE_BYTES, decode
-from station.lab.endpoints import devices_at
-from station.lab.lab_server import PRIORITY, LabServer
+from station.lab.lab_server import PRIORITY, LabServer, devices_at
 from station.service.rig import Rig
 
 

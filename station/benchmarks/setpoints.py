@@ -25,8 +25,7 @@ from station.benchmarks.served import ServedStation, browser, open_page, serve_s
 from station.client import Station
 from station.control.ring import MISSED, RUN, Ring
 from station.control.telemetry import Channels
-from station.devices.zaber.frame_safety import alias_number
-from station.devices.zaber.protocol import SPEED_UNIT, ZaberCommand
+from station.devices.zaber.protocol import SPEED_UNIT, ZaberCommand, alias_number
 from station.service.rig import Rig
 from station.service.station_file import load_station
 

@@ -17,10 +17,10 @@ from typing import Any, NamedTuple
 
 from core.errors import CtrError
 from station.benchmarks.growth import Growth, resident_bytes
+from station.config.loads import ConstantLoad, NoLoad
 from station.config.motions import CircleMotion, HoldMotion, SinusoidMotion
 from station.control.states import State
 from station.lab.faults import FaultKind, LabFault
-from station.lab.loads import ConstantLoad, NoLoad
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor

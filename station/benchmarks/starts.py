@@ -27,12 +27,12 @@ from core.control.tip_direction import shortest_rotation, task_rows
 from core.errors import CtrError
 from core.model.cosserat import ExactRod
 from core.robot.robot import Array
+from station.config.loads import RaisedCosineLoad
 from station.config.motions import HoldMotion, Orders
 from station.control.clock import VirtualClock
 from station.experiments.experiment import Case, load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
-from station.lab.loads import RaisedCosineLoad
 from station.lab.plant import true_robot
 
 #: Default experiment, whose first case has the controller and the lab; and the peak of the load by experiment [N].

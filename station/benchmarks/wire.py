@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from core.errors import CtrError
+from station.config.loads import RaisedCosineLoad
 from station.config.robots import load_robot
 from station.devices.interfaces import Condition
 from station.lab.config import LabConfig
-from station.lab.loads import RaisedCosineLoad
 from station.lab.plant import Plant
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import drivers

@@ -11,13 +11,13 @@ from station.calibration.plan import PlanSubject
 from station.calibration.procedure import AbortedError, GuidedProcedure, OperatorPrompt, Procedure, StoppedByHandError
 from station.calibration.visiting import SWING_DECAY_S, measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
+from station.config.loads import ConstantLoad, Load, NoLoad
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.aurora.tracker import TrackerMounting
 from station.experiments.interrupt import interrupts
 from station.lab.config import LabConfig
-from station.lab.loads import ConstantLoad, Load, NoLoad
 from station.lab.virtual_bench import virtual_bench
 
 Result = TypeVar("Result")

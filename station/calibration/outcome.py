@@ -14,7 +14,7 @@ from station.calibration.procedures import ForceResult, TrackerResult, TubesResu
 from station.calibration.summary import Result
 from station.config.strict import ConfigError
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 
 
 class Provenance(NamedTuple):

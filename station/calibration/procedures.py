@@ -18,7 +18,7 @@ from core.robot.own_weight import own_weight
 from core.robot.robot import Array, Robot
 from station.calibration.plan import MEASUREMENT_NOISE, PlanSubject
 from station.calibration.procedure import GoToPose, OperatorPrompt, Procedure
-from station.lab import loads
+from station.config import loads
 
 #: Direction in which a hanging weight pulls, world frame.
 GRAVITY = np.array(loads.GRAVITY)

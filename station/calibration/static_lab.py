@@ -15,14 +15,13 @@ from core.calibration.measurements import Measurement
 from core.robot.robot import Array
 from station.calibration.plan import PlanSubject
 from station.calibration.procedure import AbortedError, GuidedProcedure, OperatorPrompt, Procedure, SwingMotion
+from station.config.loads import GRAVITY
 from station.control import approach
 from station.control.settle_and_tare import AVERAGE_S, SETTLE_S
-from station.lab.aurora.coil import GENERATOR_POSE, VOLUME_MM
-from station.lab.aurora.distortion import Distortion
+from station.lab.aurora_coil import GENERATOR_POSE, VOLUME_MM, Distortion
 from station.lab.config import LabConfig
-from station.lab.loads import GRAVITY
-from station.lab.netft.simulated import BoxSettings, gain_errors
-from station.lab.true_plant import true_plant
+from station.lab.frictional_plant import true_plant
+from station.lab.simulated_netft import BoxSettings, gain_errors
 from station.lab.unmodelled_errors import UnmodelledErrors
 
 Result = TypeVar("Result")

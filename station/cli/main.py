@@ -184,8 +184,8 @@ def _solve(parsed: argparse.Namespace) -> int:
 def _lab(parsed: argparse.Namespace) -> int:
     import numpy as np
 
+    from station.config.loads import ConstantLoad
     from station.lab.lab_server import LabServer, serve
-    from station.lab.loads import ConstantLoad
     from station.service.station_file import load_station
 
     bench = load_station(parsed.config).bench()

@@ -11,17 +11,16 @@ import numpy as np
 from core.errors import CtrError
 from station.config.robots import JointFile, RobotFile
 from station.config.strict import ConfigError, check
+from station.devices.ati.calibration import GaugeCalibration, read_calibration
+from station.devices.ati.netft import BoxAddress, NetftSettings, connect
+from station.devices.ati.nidaq import CardSensors, NiCard, Wiring, device_of
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.protocol import POWER_UP_BAUD
-from station.devices.aurora.settings import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker, TrackerMounting
 from station.devices.config import AuroraFile, CardFile, NetftFile, NidaqFile, StageFile, ZaberFile, in_order
 from station.devices.interfaces import BaseSensors
 from station.devices.links.link import SerialLink, reopen
 from station.devices.mounting import mounted
-from station.devices.netft.sensors import BoxAddress, NetftSettings, connect
-from station.devices.nidaq.ati_calibration import GaugeCalibration, read_calibration
-from station.devices.nidaq.card import NiCard, device_of
-from station.devices.nidaq.sensors import CardSensors, Wiring
 from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import BAUD
 from station.devices.zaber.setup import PortSetup, StageSetup

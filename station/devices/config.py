@@ -23,9 +23,9 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from core.robot.robot import Array, Base
 from station.config.strict import ConfigError, Name, NotNegative, Positive, Row, Strict, Vector
-from station.devices.aurora.settings import AuroraSettings
-from station.devices.netft.protocol import RDT_PORT
-from station.devices.netft.sensors import NetftSettings
+from station.devices.ati.netft import NetftSettings
+from station.devices.ati.protocol import RDT_PORT
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.zaber.chain import LineSettings
 
 #: pyserial's name of a port: /dev/ttyUSB0, COM3, socket://host:port.

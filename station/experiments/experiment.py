@@ -15,6 +15,7 @@ from core.control.step import Controller
 from core.errors import CtrError, PoseError, Unreachable
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile
+from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import Motion, Orders
 from station.config.robots import RobotFile, load_robot, start_pose
 from station.config.strict import (
@@ -35,7 +36,6 @@ from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
-from station.lab.loads import Load, NoLoad, force_of
 from station.recording.tracking_errors import counted_from
 
 #: Largest number of cases in one experiment. It limits the waiting time, because each case is checked on the model

@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from station.lab.loads import Load
+from station.config.loads import Load
 
 
 def load_windows(load: Load, duration: float) -> list[tuple[float, float]]:

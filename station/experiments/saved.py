@@ -10,6 +10,7 @@ from pydantic import Field
 
 from core.errors import CtrError
 from station.config.controllers import ControllerFile
+from station.config.loads import Load, NoLoad
 from station.config.motions import TipMotion
 from station.config.strict import (
     EXPERIMENTS_VARIABLE,
@@ -22,7 +23,6 @@ from station.config.strict import (
 )
 from station.config.toml_text import toml_lines
 from station.experiments.experiment import load_experiment
-from station.lab.loads import Load, NoLoad
 from station.recording.tracking_errors import settling_time
 
 #: Name of the default folder of saved experiments, inside the folder of the runs.

@@ -4,20 +4,43 @@ Play of the drives and parameter errors are the same as in the module `plant`. E
 guide that keeps the tube straight behind the front plate.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
 from core.robot.robot import Array, Robot, tube_poses, unpack
+from station.config.loads import GRAVITY
 from station.config.robots import STANDARD_GRAVITY
 from station.devices.interfaces import GroundTruth
 from station.lab.config import PlantConfig
 from station.lab.frictional_rod import FrictionContact, settle, slots
-from station.lab.loads import GRAVITY
-from station.lab.plant import PlantState, true_robot
-from station.lab.random_walk import RandomWalk
+from station.lab.plant import Plant, PlantState, true_robot
+
+#: Time between two random draws; the walk is interpolated linearly between them [s].
+KNOT_INTERVAL_S = 10.0
+
+
+class RandomWalk:
+    """One Brownian walk for each tube; its values do not depend on the times at which they are read."""
+
+    def __init__(self, hourly: float, tubes: int, rng: np.random.Generator) -> None:
+        """Create the walks; `hourly` is the standard deviation of the precurvature after an hour, as a fraction."""
+        self._deviation = hourly * np.sqrt(KNOT_INTERVAL_S / 3600.0)
+        self._rng = rng
+        self._knots = [np.zeros(tubes)]
+
+    def at(self, time: float) -> Array:
+        """Return the change of each tube's precurvature (q,) at `time` >= 0 [s], as a fraction."""
+        knots = max(time, 0.0) / KNOT_INTERVAL_S
+        before = int(knots)
+        while len(self._knots) < before + 2:
+            last = self._knots[-1]
+            self._knots.append(last + self._deviation * self._rng.standard_normal(last.size))
+        part = knots - before
+        return (1.0 - part) * self._knots[before] + part * self._knots[before + 1]
+
 
 #: Largest residual of the rod's boundary conditions [1/m and N m]; it leaves an error below 1e-8 m at the tip.
 RESIDUAL_TOLERANCE = 1e-7
@@ -226,3 +249,27 @@ def _base_wrench(base: Array, wrench: Array, alpha: float, beta: float, weight: 
     mx, my = world[3] + beta * fy, world[4] - beta * fx
     wrench[0], wrench[1], wrench[2] = cos * fx + sin * fy, cos * fy - sin * fx, world[2]
     wrench[3], wrench[4], wrench[5] = cos * mx + sin * my, cos * my - sin * mx, world[5]
+
+
+class TruePlant(Protocol):
+    """Interface of a plant: the simulated real robot at the stages' positions."""
+
+    robot: Robot  #: the robot with its true parameters
+
+    @property
+    def rotation(self) -> Array:
+        """Frame of the innermost tube at the tip (3, 3), world frame."""
+        ...
+
+    def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
+        """Move the joints to `positions` (n,) with `force` (3,) [N] at `contact` [m] until `now` [s]."""
+        ...
+
+
+def true_plant(robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array) -> TruePlant:
+    """Return the configured plant with its stages at `positions` (n,).
+
+    Raises:
+        PoseError, NoSolution: the robot has no equilibrium shape at `positions`.
+    """
+    return (FrictionalPlant if config.rod == "rough" else Plant)(robot, config, rng, positions)

@@ -6,162 +6,56 @@ network, which sends datagrams by UDP and its configuration page by HTTP. One lo
 
 import contextlib
 import math
-import os
 import select
 import signal
-import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import urlsplit
 
 from core.robot.robot import Array
+from station.config.loads import Load
 from station.config.robots import RobotFile
+from station.config.strict import check
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import freeze_garbage_collection, request_fifo
+from station.devices.config import BenchFile
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
-from station.lab.loads import Load
-from station.lab.netft.wire import AddressInUse, PageServer, UdpDeviceEnd
-from station.lab.simulated_bench import SimulatedBench, Wires
+from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, TcpDeviceEnd, UdpDeviceEnd
+from station.lab.simulated_aurora import TARGET_SERIAL
+from station.lab.simulated_bench import SimulatedBench
+from station.lab.wires import Wires
 
-if sys.platform != "win32":
-    import fcntl
-    import termios
-    import tty
-
-HOST = "127.0.0.1"
 PERIOD_S = 0.001  #: longest time between two polls of the devices; about the duration of a byte at 9600 baud [s]
-#: Largest number of bytes read from a line at one poll, which is the size of a serial port's buffer. Further bytes wait
-#: in the operating system's buffers.
-MAX_READ_BYTES = 4096
-#: Connections accepted at one poll; others wait, so that a flood of connections does not delay the devices.
-MAX_VISITORS = 16
 #: Real-time priority of the lab: below the control loop's, so that the loop is never late because of it.
 PRIORITY = 40
 
 
-class TcpDeviceEnd:
-    """The device's end of a serial line by TCP. Like a serial port it serves one program at a time."""
-
-    def __init__(self) -> None:
-        self._server = socket.create_server((HOST, 0))
-        self._server.setblocking(False)
-        self._host: socket.socket | None = None
-        self._port: int = self._server.getsockname()[1]
-        self.name = f"socket://{HOST}:{self._port}"
-
-    @property
-    def files(self) -> list[int]:
-        """Return the file descriptors whose data the server waits for."""
-        return [file for file in (self._server.fileno(), self._host.fileno() if self._host else -1) if file >= 0]
-
-    def read(self) -> bytes:
-        """Return the bytes that the host has written; empty without a host."""
-        data = b""
-        while self._host is not None:
-            try:
-                part = self._host.recv(MAX_READ_BYTES - len(data))
-            except BlockingIOError:
-                break
-            except OSError:
-                part = b""
-            if not part:
-                self._host.close()
-                self._host = None
-            data += part
-            if len(data) >= MAX_READ_BYTES:
-                return data  # read the remaining bytes at the next poll, and accept the next host only then
-        self._admit()
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Send `data` to the host; it is lost without a host, or if the host does not read."""
-        if self._host is not None:
-            with contextlib.suppress(OSError):
-                self._host.send(data)
-
-    def unplug(self) -> None:
-        """Pull the cable: the host is disconnected, and new connections are refused."""
-        self.close()
-
-    def plug(self) -> None:
-        """Plug the cable in again; raises AddressInUse when another program has the port meanwhile."""
-        try:
-            self._server = socket.create_server((HOST, self._port))
-        except OSError as error:
-            raise AddressInUse(f"{self.name} is not available again: {error.strerror}") from None
-        self._server.setblocking(False)
-
-    def close(self) -> None:
-        """Close the port and the connection."""
-        if self._host is not None:
-            self._host.close()
-            self._host = None
-        self._server.close()
-
-    def _admit(self) -> None:
-        """Accept the connection of the next host; close it if another host is connected already."""
-        with contextlib.suppress(OSError):
-            for _ in range(MAX_VISITORS):
-                visitor, _ = self._server.accept()
-                if self._host is not None:
-                    visitor.close()
-                    continue
-                visitor.setblocking(False)
-                visitor.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # prevents that replies come in batches
-                self._host = visitor
+def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationClock = REAL_TIME_CLOCK) -> BenchFile:
+    """Return the `[devices]` of a lab with these endpoints; `clock` sets their timeouts."""
+    tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
+    tables: dict[str, dict[str, Any]] = {
+        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": clock.patience},
+        "tracker": {
+            "driver": "aurora",
+            "port": endpoints["aurora"],
+            "frame_rate": config.tracker.rate,
+            "latency": config.tracker.latency,
+            # The generator is upside down, as in `GENERATOR_POSE`: half a turn about x.
+            "mount": {"position": GENERATOR_POSE.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
+        },
+        "sensors": {"driver": "netft", "tubes": tubes, "stale_after": clock.patience},
+    }
+    if config.target is not None:
+        tables["tracker"]["target"] = TARGET_SERIAL
+    return check(BenchFile, tables, "virtual lab")
 
 
-class PtyDeviceEnd:
-    """The device's end of a serial line by pseudo-terminal.
-
-    A kernel thread of normal priority carries the bytes. `select` and a read of an empty terminal wait for that thread,
-    for tens of milliseconds on a busy computer. So the lab only queries how many bytes have arrived.
-    """
-
-    def __init__(self, link: Path | None = None) -> None:
-        """`link` is a symbolic link to the terminal, which stays valid when the terminal changes."""
-        self._link = link
-        self._files: list[int] = []
-        self.plug()
-        self.name = str(link or os.ttyname(self._files[1]))
-
-    @property
-    def files(self) -> list[int]:
-        """Return no file descriptors to wait for, because the terminal is polled."""
-        return []
-
-    def read(self) -> bytes:
-        """Return the bytes that the host has written."""
-        if not self._files:
-            return b""
-        arrived = int.from_bytes(fcntl.ioctl(self._files[0], termios.FIONREAD, bytes(4)), sys.byteorder)
-        return os.read(self._files[0], MAX_READ_BYTES) if arrived else b""
-
-    def write(self, data: bytes) -> None:
-        """Send `data` to the host; bytes beyond the terminal's buffer are lost."""
-        with contextlib.suppress(BlockingIOError):
-            if self._files:
-                os.write(self._files[0], data)
-
-    def unplug(self) -> None:
-        """Pull the cable: the host's terminal disappears."""
-        self.close()
-
-    def plug(self) -> None:
-        """Plug the cable in again: open a new terminal, whose name may differ as that of a real USB adapter may."""
-        # Keep the host's side open, because the line would hang up when a host closes it.
-        self._files = list(os.openpty())
-        tty.setraw(self._files[1])
-        os.set_blocking(self._files[0], False)
-        if self._link is not None:
-            self._link.unlink(missing_ok=True)
-            self._link.symlink_to(os.ttyname(self._files[1]))
-
-    def close(self) -> None:
-        """Close the terminal."""
-        while self._files:
-            os.close(self._files.pop())
+def _box(endpoint: Mapping[str, str]) -> dict[str, Any]:
+    page, rdt = urlsplit(endpoint["page"]), urlsplit(endpoint["rdt"])
+    return {"host": rdt.hostname, "rdt_port": rdt.port, "http_port": page.port}
 
 
 class LabServer:

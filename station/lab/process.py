@@ -8,7 +8,7 @@ from the station process, loads and faults.
 import contextlib
 import os
 import signal
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,14 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.errors import CtrError
+from station.config.loads import Load
 from station.config.robots import RobotFile
+from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import set_process_name
 from station.control.ring import LAB_HEARTBEAT, Ring
+from station.devices.config import BenchFile
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
-from station.lab.lab_server import LabServer, be_punctual
-from station.lab.loads import Load
+from station.lab.lab_server import LabServer, be_punctual, devices_at
 
 #: Time for which the lab continues after the end of the station process [s].
 OUTLIVE_STATION_S = 10.0
@@ -115,3 +117,52 @@ class _LabClient:
             return False
         self._orphaned_since = self._lab.clock.now()
         return False
+
+
+class LabError(CtrError):
+    """A live virtual lab that does not start."""
+
+
+class LabHost:
+    """Owner of the process of the live virtual lab."""
+
+    def __init__(self, bench: LabBench, ring_name: str, width: int) -> None:
+        self._config, self._clock = bench.config, bench.clock
+        # The lab must outlive this process by a few seconds, so that the stages still receive their stop.
+        self._child = ChildProcess(run_lab, bench, ring_name, width, name="lab", daemon=False)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the lab's process runs."""
+        return self._child.alive
+
+    @property
+    def pid(self) -> int:
+        """Number of the lab's process."""
+        return self._child.pid
+
+    def devices(self) -> BenchFile:
+        """Wait for the lab, and return the devices that the control process has to open.
+
+        Raises:
+            LabError: the lab did not start.
+        """
+        try:
+            opened: LabConnection = self._child.pipe.recv()
+        except (EOFError, OSError):
+            raise LabError("the virtual lab ended before its devices were ready") from None
+        if opened.problem:
+            raise LabError(f"the virtual lab did not start: {opened.problem}")
+        return devices_at(opened.endpoints, self._config, self._clock)
+
+    def apply_load(self, load: Load, start: float) -> None:
+        """Apply a load to the tip; the load's time 0 is `start` of the station's clock [s]. An ended lab ignores it."""
+        self._child.send(SetForce(load, start))
+
+    def inject(self, faults: Sequence[LabFault], start: float) -> None:
+        """Replace all active and planned faults; their time 0 is `start` of the station's clock [s]."""
+        self._child.send(InjectFaults(tuple(faults), start))
+
+    def close(self) -> None:
+        """End the lab."""
+        self._child.close(2.0)

@@ -4,6 +4,7 @@ The simulated stages move the true joints; the tracker and a force sensor for ea
 station's drivers receive only bytes and datagrams from this bench.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,27 +12,79 @@ import numpy as np
 
 from core.errors import ContractError, NoSolution, PoseError
 from core.robot.robot import Array, Robot
+from station.config.loads import Load, NoLoad, force_of
 from station.config.robots import RobotFile
 from station.devices.interfaces import GroundTruth
-from station.devices.links.link import Link
-from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.setup import StageSetup
-from station.lab.aurora import wire as aurora_wire
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.simulated import TARGET_SERIAL, SimulatedAurora
-from station.lab.aurora.wire import HostPort
-from station.lab.config import LabConfig
-from station.lab.fault_script import DeviceLine, FaultScript
-from station.lab.faults import LabFault
-from station.lab.loads import Load, NoLoad, force_of
-from station.lab.netft.simulated import BoxSettings, SimulatedNetft
-from station.lab.netft.wire import DatagramDeviceEnd, MemoryDatagramEnd, MemoryDatagrams
-from station.lab.target import MovingTarget
-from station.lab.true_plant import true_plant
+from station.lab import simulated_aurora, simulated_zaber
+from station.lab.aurora_coil import GENERATOR_POSE
+from station.lab.config import LabConfig, TargetConfig
+from station.lab.faults import FaultScript, LabFault
+from station.lab.frictional_plant import true_plant
+from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
+from station.lab.simulated_netft import BoxSettings, SimulatedNetft
+from station.lab.simulated_zaber import SimulatedChain
 from station.lab.unmodelled_errors import UnmodelledErrors
-from station.lab.zaber import simulated as simulated_zaber
-from station.lab.zaber.simulated import SimulatedChain
-from station.lab.zaber.unit import Unit, UnitKind
+from station.lab.wires import Wires, memory_wires
+from station.lab.zaber_unit import Unit, UnitKind
+
+#: Periods with which rate and size of the target's oscillations drift [s].
+RATE_DRIFT_PERIOD_S, SIZE_DRIFT_PERIOD_S = 60.0, 45.0
+
+
+class TargetWaves(NamedTuple):
+    """One of the two oscillations of the target along a line: breathing or heartbeat."""
+
+    amplitude: Array  #: (3,) displacement from the middle to the end of the line [m]
+    rate: float  #: mean frequency of the oscillation [Hz]
+    second: float  #: amplitude at twice the rate, as a fraction of the amplitude at the rate
+    rate_drift: float  #: largest change of the rate in both directions, as a fraction
+    size_drift: float  #: largest change of the amplitude in both directions, as a fraction
+    phases: tuple[float, float, float]  #: phases at 0 s of the oscillation and of the drifts of rate and size [rad]
+
+    def at(self, time: float) -> Array:
+        """Return the displacement (3,) from the target's middle [m]."""
+        own, of_rate, of_size = self.phases
+        turn = 2.0 * math.pi
+        # The phase of the oscillation is the integral of its drifting rate; `drift` is the part caused by the drift.
+        drift = (
+            self.rate_drift
+            * RATE_DRIFT_PERIOD_S
+            / turn
+            * (math.cos(of_rate) - math.cos(turn * time / RATE_DRIFT_PERIOD_S + of_rate))
+        )
+        phase = turn * self.rate * (time + drift) + own
+        size = 1.0 + self.size_drift * math.sin(turn * time / SIZE_DRIFT_PERIOD_S + of_size)
+        return self.amplitude * (size * (math.sin(phase) + self.second * math.cos(2.0 * phase)))
+
+
+class MovingTarget:
+    """Position of the target as a function of time; its lines and phases are drawn once."""
+
+    def __init__(self, config: TargetConfig, tip: Array, rng: np.random.Generator) -> None:
+        """The target's middle is at the configured offset from `tip` (3,) [m]."""
+        self._middle = tip + np.array(config.place)
+        self._motions = tuple(
+            TargetWaves(
+                size * _direction(rng), rate, second, config.rate_drift, config.size_drift,
+                tuple(rng.uniform(0.0, 2.0 * math.pi, 3).tolist()),
+            )
+            for size, rate, second in (
+                (config.breathing, config.breathing_rate, config.breathing_second),
+                (config.heartbeat, config.heartbeat_rate, 0.0),
+            )
+        )  # fmt: skip
+
+    def at(self, time: float) -> Array:
+        """Return the position of the target (3,) at `time` [s], world frame [m]."""
+        breathing, heartbeat = self._motions
+        return self._middle + breathing.at(time) + heartbeat.at(time)
+
+
+def _direction(rng: np.random.Generator) -> Array:
+    vector = rng.standard_normal(3)
+    return vector / float(np.linalg.norm(vector))
+
 
 #: Device IDs of the simulated rotation and translation stages; those of the real stages are unknown.
 ROTARY_ID, LINEAR_ID = 4421, 4332
@@ -39,31 +92,6 @@ FIRST_SERIAL_NUMBER = 1000  #: a simulated stage has this serial number plus its
 #: Records per second of each force sensor, 7000/13. With 500 every record would wait equally long for the next poll,
 #: and its age would be unknown. With this rate the waits vary; the shortest one gives the time of the measurement.
 FORCE_RECORD_RATE_HZ = 7000.0 / 13.0
-
-
-class Wires(NamedTuple):
-    """The simulated devices' ends of the wires."""
-
-    zaber: DeviceLine
-    aurora: DeviceLine
-    netft: tuple[DatagramDeviceEnd, ...]  #: ends of the force sensors, one for each tube
-
-
-class Hosts(NamedTuple):
-    """The station drivers' ends of wires in memory."""
-
-    zaber: Link
-    aurora: HostPort
-    netft: tuple[MemoryDatagrams, ...]
-
-
-def memory_wires(tubes: int) -> tuple[Wires, Hosts]:
-    """Return wires in memory, for virtual time."""
-    host, device = memory_pipe("zaber")
-    port = HostPort("aurora")
-    ends = tuple(MemoryDatagramEnd() for _ in range(tubes))
-    links = tuple(end.link(f"netft {number}") for number, end in enumerate(ends, 1))
-    return Wires(device, port.device, ends), Hosts(host, port, links)
 
 
 class SimulatedBench:
@@ -170,7 +198,7 @@ class SimulatedBench:
             self.trouble = str(error)
         axis = self._coil_axis() if self._reports_axis else None
         self.aurora.advance(self.time, now, before, self._coil_position, axis, self._move_target(now))
-        aurora_wire.pump(self._wires.aurora, self.aurora, now)
+        simulated_aurora.pump(self._wires.aurora, self.aurora, now)
         for number, box in enumerate(self.boxes):
             box.advance(now, self._wrenches[number])
         self.time = now

@@ -3,14 +3,13 @@
 import threading
 from collections.abc import Sequence
 
+from station.config.loads import Load, NoLoad
 from station.config.strict import ConfigError
 from station.control.process import ring_width
 from station.control.ring import Ring
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
-from station.lab.host import LabError, LabHost
-from station.lab.loads import Load, NoLoad
-from station.lab.process import LabBench
+from station.lab.process import LabBench, LabError, LabHost
 from station.service.hardware_rig import HardwareRig
 from station.service.rig import Rig
 from station.service.run_request import StartRequest

@@ -17,10 +17,10 @@ from station.calibration.procedure import AbortedError, Answer, GoToPose, Operat
 from station.calibration.visiting import SWING_DECAY_S, measurement_of, rest_orders, task
 from station.calibration.worker import CalibrationJob, JobFinished
 from station.calibration.worker_host import WorkerHost
+from station.config.loads import ConstantLoad, NoLoad
 from station.config.strict import Strict
 from station.control.states import RefusedError, State
 from station.control.task import MotionTask
-from station.lab.loads import ConstantLoad, NoLoad
 from station.service.permits import Permit
 from station.service.run_request import StartRequest
 from station.service.supervisor import Supervisor

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+from station.config.loads import Load
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
-from station.lab.loads import Load
 
 
 class HardwareRig:

@@ -18,7 +18,7 @@ from station.config.strict import check
 from station.control.states import RefusedError
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.config import Mount
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.service.calibration_session import CalibrationSession, SessionReport
 from station.service.permits import Permit
 from station.service.rig import Rig

@@ -15,7 +15,7 @@ from station.control.overruns import OverrunLimits
 from station.control.process import ControlSetup
 from station.devices.config import BenchFile
 from station.lab.config import LabConfig
-from station.lab.control_warmup import warm_up_control
+from station.lab.virtual_bench import warm_up_control
 
 
 @dataclass(frozen=True)

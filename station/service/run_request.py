@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from station.config.loads import Load, NoLoad
 from station.control.task import MotionTask
 from station.lab.faults import LabFault
-from station.lab.loads import Load, NoLoad
 
 _NO_LOAD = NoLoad()
 

@@ -12,6 +12,7 @@ from core.control.reachability import check_pose
 from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError, Unreachable
 from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
+from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
@@ -20,7 +21,6 @@ from station.control.states import Transition
 from station.control.streamed_motion import StreamRequest
 from station.control.task import MotionTask
 from station.experiments.experiment import load_warnings, offered_experiment
-from station.lab.loads import Load, NoLoad, force_of
 from station.recording.tracking_errors import counted_from, settling_time
 from station.service.case_compatibility import deviations_from_case, incompatibility, missing_target
 from station.service.goto import check_path, goto_joints, goto_working_pose

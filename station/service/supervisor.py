@@ -14,6 +14,7 @@ from typing import Any, Literal
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
+from station.config.loads import Load
 from station.control.jog import Space
 from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
@@ -23,7 +24,6 @@ from station.control.states import RefusedError, State, Transition, next_state
 from station.control.telemetry import Channels
 from station.devices.interfaces import is_simulated
 from station.lab.faults import LabFault
-from station.lab.loads import Load
 from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit
 from station.service.control_host import ControlReport, ExitReport, NoReply

@@ -17,12 +17,11 @@ from collections import Counter
 
 import numpy as np
 
-from station.devices.aurora.measurement import FrameQuality
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.protocol import binary, framed
-from station.devices.aurora.session import AuroraSession
-from station.devices.aurora.settings import AuroraSettings
-from station.lab.aurora.simulated import SimulatedAurora
+from station.devices.aurora.session import AuroraSession, FrameQuality
 from station.lab.config import TrackerConfig
+from station.lab.simulated_aurora import SimulatedAurora
 
 #: Number of disturbed exchanges after which the session or the unit must prove that it still works.
 ROUND = 25

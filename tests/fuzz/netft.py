@@ -13,13 +13,13 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from station.devices.netft.page import NetftPage, PageError, read_page
-from station.devices.netft.protocol import LATENCY_S, RdtCommand
-from station.devices.netft.sensors import NetftSensors
-from station.devices.nidaq.ati_calibration import AXES, CalibrationError, parse_calibration
+from station.devices.ati.calibration import AXES, CalibrationError, NetftPage, PageError, parse_calibration, read_page
+from station.devices.ati.netft import NetftSensors
+from station.devices.ati.protocol import LATENCY_S, RdtCommand
 from station.lab.config import BaseSensorConfig
-from station.lab.netft.simulated import SimulatedNetft
-from station.lab.netft.wire import MemoryDatagramEnd, respond
+from station.lab.endpoints import respond
+from station.lab.simulated_netft import SimulatedNetft
+from station.lab.wires import MemoryDatagramEnd
 
 #: Time after which a case counts as a hang [s].
 HANG = 10.0

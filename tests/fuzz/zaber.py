@@ -11,8 +11,8 @@ import sys
 from station.devices.zaber.chain import Axis, ZaberChain
 from station.devices.zaber.estimate import READING_TOLERANCE
 from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberCommand, ZaberMessage, encode
-from station.lab.zaber.simulated import SimulatedChain
-from station.lab.zaber.unit import Unit, UnitKind
+from station.lab.simulated_zaber import SimulatedChain
+from station.lab.zaber_unit import Unit, UnitKind
 
 AXES = (Axis(1, 9102, 38, 3_072_000), Axis(2, 9102, 38, 3_072_000), Axis(3, 4300, 18, 251_968))
 ANSWERS = {ZaberCommand.POSITION, ZaberCommand.STATUS}

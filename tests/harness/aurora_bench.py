@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker, TrackerReport
 from station.devices.interfaces import TipReading
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.simulated import SimulatedAurora
-from station.lab.aurora.wire import HostPort, pump
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import TrackerConfig
+from station.lab.simulated_aurora import SimulatedAurora, pump
+from station.lab.wires import HostPort
 
 TICK = 0.002
 REST = np.array([0.010, -0.020, 0.190])

@@ -26,7 +26,7 @@ from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import load_lab
 from tests.harness.calibration_seeds import calibrated
 

@@ -32,7 +32,7 @@ from station.control.clock import VirtualClock
 from station.experiments.experiment import load_experiment
 from station.experiments.results import summarise
 from station.experiments.runner import run_case
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig, load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])

@@ -22,7 +22,7 @@ import psutil
 
 from core.errors import CtrError
 from station.control.clock import StationClock
-from station.lab.endpoints import devices_at
+from station.lab.lab_server import devices_at
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor

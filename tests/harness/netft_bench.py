@@ -5,8 +5,8 @@ import struct
 import numpy as np
 
 from station.lab.config import BaseSensorConfig
-from station.lab.netft.simulated import BoxSettings, SimulatedNetft
-from station.lab.netft.wire import MemoryDatagramEnd, MemoryDatagrams
+from station.lab.simulated_netft import BoxSettings, SimulatedNetft
+from station.lab.wires import MemoryDatagramEnd, MemoryDatagrams
 
 PERFECT = BaseSensorConfig(
     force_noise=0.0, moment_noise=0.0, force_count=0.0, moment_count=0.0, drift=0.0, moment_drift=0.0,

@@ -7,11 +7,11 @@ import numpy as np
 
 from station.config.robots import RobotFile
 from station.devices.links.link import Link
-from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.zaber.simulated import SimulatedChain, pump
-from station.lab.zaber.unit import Unit, UnitKind
+from station.lab.simulated_zaber import SimulatedChain, pump
+from station.lab.wires import HostPort
+from station.lab.zaber_unit import Unit, UnitKind
 
 TICK = 0.002
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -50,9 +50,8 @@ class Bench:
 
     def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[PortSetup]:
         """Return new links, as if a serial adapter had been unplugged and plugged in again."""
-        pipes = [memory_pipe(f"line {k}") for k in range(len(groups))]
-        self.far: list[Link] = [device for _, device in pipes]
-        self.near = [host for host, _ in pipes]
+        self.near = [HostPort(f"line {k}") for k in range(len(groups))]
+        self.far: list[Link] = [host.device for host in self.near]
         return [PortSetup(host, group) for host, group in zip(self.near, groups, strict=True)]
 
     def run(

@@ -1,8 +1,8 @@
 """The host's end of a simulated Zaber chain, byte by byte in virtual time."""
 
 from station.devices.zaber.protocol import ZaberMessage, ZaberParser, encode
-from station.lab.zaber.simulated import SimulatedChain
-from station.lab.zaber.unit import UnitKind
+from station.lab.simulated_zaber import SimulatedChain
+from station.lab.zaber_unit import UnitKind
 
 ROTARY = UnitKind(4421, None, 1_536_000)
 LINEAR = UnitKind(4332, 604_724, serial=1001)

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from station.config.controllers import ControllerFile
+from station.config.loads import Load
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
-from station.lab.loads import Load
 from station.service.solve import Stability
 from web.access.identity import MAX_NAME_CHARS
 from web.access.tokens import Role

@@ -10,12 +10,12 @@ from fastapi import APIRouter, Depends, Request
 from pydantic import ConfigDict, Field
 
 from station.config.controllers import ControllerFile
+from station.config.loads import Load, NoLoad
 from station.config.motions import Places
 from station.config.robots import named_pose
 from station.config.strict import Name, Strict, Vector
 from station.control.states import RefusedError
 from station.experiments.saved import FreeMotion, SavedAlreadyError, save, saved_motion
-from station.lab.loads import Load, NoLoad
 from station.service.rig import Rig
 from station.service.station_service import StationService
 from station.service.waypoint_check import FeasibilityResult, check_waypoints

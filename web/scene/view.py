@@ -15,7 +15,7 @@ from core.errors import CtrError
 from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.config import palette
-from station.lab.loads import GRAVITY, ConstantLoad, NoLoad
+from station.config.loads import GRAVITY, ConstantLoad, NoLoad
 from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
 from web.scene.cameras import Cameras

@@ -8,11 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
-from station.devices.aurora.dialogue import RateChange, SerialBreak
-from station.devices.aurora.measurement import FrameCounts, FrameQuality, TrackerFrame
-from station.devices.aurora.replies import ToolIdentity
-from station.devices.aurora.session import AuroraSession
-from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings, RateChange, SerialBreak
+from station.devices.aurora.protocol import ToolIdentity
+from station.devices.aurora.session import AuroraSession, FrameCounts, FrameQuality, TrackerFrame
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import Link, LinkError
 

@@ -11,8 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from station.devices.zaber.backlog import Backlog
-from station.devices.zaber.dialogue import (
+from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate, Backlog
+from station.devices.zaber.protocol import (
+    ACCELERATION_UNIT,
+    ERRORS,
+    MAX_POSITION,
+    MESSAGE_TIME_S,
+    NO_DATA,
+    RESYNC_GAP_S,
+    SPEED_UNIT,
     Happening,
     Reply,
     ReplyLost,
@@ -20,21 +27,12 @@ from station.devices.zaber.dialogue import (
     ResetDone,
     UnexpectedMotion,
     UnsolicitedError,
-)
-from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
-from station.devices.zaber.frame_safety import NO_DATA, safe_speed
-from station.devices.zaber.protocol import (
-    ACCELERATION_UNIT,
-    ERRORS,
-    MAX_POSITION,
-    MESSAGE_TIME_S,
-    RESYNC_GAP_S,
-    SPEED_UNIT,
     ZaberCommand,
     ZaberMessage,
     ZaberParser,
     ZaberStatus,
     encode,
+    safe_speed,
 )
 
 STATUSES = frozenset(int(status) for status in ZaberStatus)

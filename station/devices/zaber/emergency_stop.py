@@ -15,10 +15,10 @@ from station.devices.interfaces import Clock, EmergencyStop, NotStopped
 from station.devices.links.link import LinkError, SerialLink
 from station.devices.links.port_lock import lock_file
 from station.devices.zaber.chain import LineSettings
-from station.devices.zaber.frame_safety import NO_DATA
 from station.devices.zaber.protocol import (
     BAUD,
     MESSAGE_TIME_S,
+    NO_DATA,
     RESYNC_GAP_S,
     ZaberCommand,
     ZaberMessage,

@@ -5,20 +5,123 @@ The sequences read every setting back, because the units' automatic replies are 
 """
 
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from station.devices.zaber.dialogue import Reply, Request
-from station.devices.zaber.homing import Homing, homing_step
+from station.devices.zaber.chain import ZaberChain
+from station.devices.zaber.estimate import AxisEstimate
 from station.devices.zaber.protocol import (
     MICROSTEP_RESOLUTION,
     Code,
     Mode,
+    Reply,
+    Request,
     ZaberCommand,
     ZaberError,
     ZaberStatus,
     error_text,
 )
-from station.devices.zaber.units import Identity, Units
+from station.devices.zaber.setup import PortSetup, StageSetup
+
+
+class Identity(NamedTuple):
+    """Identity that a unit reports."""
+
+    device_id: int
+    firmware: int  #: firmware version with two implied decimals: 523 is 5.23
+    serial: int | None  #: serial number; None for old units, which have none
+
+
+class Units:
+    """State of all stages' units; identities and homing states persist when the ports change."""
+
+    def __init__(self, setups: Sequence[StageSetup]) -> None:
+        self.setups = tuple(setups)
+        self.identities: list[Identity | None] = [None for _ in setups]
+        self.homed = [False for _ in setups]
+        self.home_again: set[int] = set()  #: stages that must be homed even if their units report to be homed
+        self.homing_distance = [0.0 for _ in setups]  #: distance moved since an unfinished homing began [rad or m]
+        self.ports: tuple[PortSetup, ...] = ()
+        self.chains: list[ZaberChain] = []  #: one for each port
+        self.where: list[tuple[ZaberChain, int]] = []  #: chain and axis of each stage
+
+    def estimate(self, i: int) -> AxisEstimate:
+        """Return the position estimate of a stage's axis [microsteps]."""
+        chain, axis = self.where[i]
+        return chain.estimates[axis]
+
+    def alias(self, i: int) -> int:
+        """Return the alias of a stage's unit."""
+        chain, axis = self.where[i]
+        return chain.axes[axis].alias or 0
+
+    def name(self, i: int) -> str:
+        """Return the name of a stage's joint, with its device number and its port, for messages."""
+        link = next(port.link for port in self.ports if i in port.stages)
+        return f"{self.setups[i].joint.name} (device {self.setups[i].device} on {link.name})"
+
+    def reach(self, i: int) -> str:
+        """Return how far a stage that no longer receives commands can still move, as text."""
+        chain, axis = self.where[i]
+        setup, count, speed = self.setups[i], chain.estimates[axis].position, chain.sent[axis]
+        if speed == 0 or not math.isfinite(count):
+            return "it was not moving" if speed == 0 else "its position was unknown"
+        end = setup.maximum if speed > 0 else 0
+        scale, unit = (180.0 / math.pi, "deg") if setup.joint.motion == "rotation" else (1e3, "mm")
+        last, bound = scale * setup.position(count), scale * setup.position(end)
+        return (
+            f"last seen at {last:.1f} {unit}, it can run on to {bound:.1f} {unit},"
+            f" {abs(bound - last):.1f} {unit} away (hardware maximum position)"
+        )
+
+
+class HomingStep(NamedTuple):
+    """Motion of one axis to its home sensor."""
+
+    joint: str
+    unit: str
+    way: float  #: distance of the motion [unit]
+    exact: bool  #: whether the start position is known; if not, `way` is the longest possible distance
+    speed: float  #: speed of the motion [unit/s]
+
+
+def homing_step(setup: StageSetup, count: float | None) -> HomingStep:
+    """Return the homing motion of a stage from `count` [microsteps]; None: the position is unknown.
+
+    Units home towards lower counts. A rotation stage passes its sensor once per turn; a rotation stage that starts
+    below its zero turns back up by one turn after it has found the sensor.
+    """
+    turns, step, joint = setup.joint.motion == "rotation", setup.joint.microstep, setup.joint
+    turn = 2.0 * math.pi
+    if count is None:
+        way = turn if turns else setup.maximum * step
+    else:
+        above = (count - setup.home_count) * step
+        way = above if above >= 0.0 or not turns else 2.0 * turn + above
+    return HomingStep(joint.name, "rad" if turns else "m", abs(way), count is not None, setup.home_speed)
+
+
+class Homing:
+    """Progress of the homing motions of all axes, which home one after the other."""
+
+    def __init__(self, steps: Sequence[HomingStep]) -> None:
+        self._steps = tuple(steps)
+        self._at, self._since = 0, 0.0
+
+    def start(self, number: int, now: float) -> None:
+        """Record that the homing motion with the index `number` starts at `now` [s]."""
+        self._at, self._since = number, now
+
+    def progress(self, now: float) -> Mapping[str, Any]:
+        """Return the moving axis, its number `of` all, distance `gone` of `way` [unit], and remaining time [s]."""
+        step = self._steps[self._at]
+        gone = min(step.way, (now - self._since) * step.speed)
+        left = (step.way - gone) / step.speed + sum(each.way / each.speed for each in self._steps[self._at + 1 :])
+        return {
+            "joint": step.joint, "number": self._at + 1, "of": len(self._steps), "gone": gone, "way": step.way,
+            "exact": step.exact, "unit": step.unit, "left_s": left,
+        }  # fmt: skip
+
 
 MAX_ATTEMPTS = 6  #: largest number of times that a query is sent until two replies agree
 STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a reset of the unit takes 1 s of this time [s]

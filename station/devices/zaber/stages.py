@@ -14,12 +14,21 @@ from core.robot.robot import Array
 from station.devices.interfaces import Condition, DeviceFault, JointReading, Severity
 from station.devices.links.link import LinkError
 from station.devices.zaber.chain import Axis, LineCounts, LineSettings, ZaberChain
-from station.devices.zaber.dialogue import Happening, Reply, ReplyLost, Request, UnexpectedMotion, UnsolicitedError
-from station.devices.zaber.frame_safety import FIRST_ALIAS, alias_number
-from station.devices.zaber.protocol import SPEED_UNIT, ZaberError, error_text
-from station.devices.zaber.sequences import Script, Sequences
+from station.devices.zaber.protocol import (
+    FIRST_ALIAS,
+    SPEED_UNIT,
+    Happening,
+    Reply,
+    ReplyLost,
+    Request,
+    UnexpectedMotion,
+    UnsolicitedError,
+    ZaberError,
+    alias_number,
+    error_text,
+)
+from station.devices.zaber.sequences import Identity, Script, Sequences, Units
 from station.devices.zaber.setup import PortSetup, StageSetup
-from station.devices.zaber.units import Identity, Units
 
 
 class ZaberStages:

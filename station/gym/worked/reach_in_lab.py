@@ -21,6 +21,7 @@ from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
 from core.control.motion_bounds import MotionBounds
 from core.control.setpoint_request import SetpointRequest
 from station.config.controllers import PERIOD_S
+from station.config.loads import TrapezoidLoad
 from station.config.robots import load_robot
 from station.control.loop import ControlLoop
 from station.control.states import State
@@ -30,7 +31,6 @@ from station.experiments.experiment import load_experiment
 from station.gym.bodies import EpisodeSettings
 from station.gym.reach import Reach
 from station.lab.config import load_lab
-from station.lab.loads import TrapezoidLoad
 from station.lab.virtual_bench import virtual_bench
 
 #: Rise time of the load, time between its onset and the motion to the goal, and time for this motion [s].

@@ -16,23 +16,23 @@ import numpy as np
 import pytest
 
 from core.control.force_fusion import fuse_at
+from station.config.loads import ConstantLoad
+from station.devices.ati.netft import NetftSensors, NetftSettings, fetch_page
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.protocol import framed
-from station.devices.aurora.settings import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.links.link import DatagramLink, Link, LinkError, SerialLink, reopen
-from station.devices.netft.sensors import NetftSensors, NetftSettings, fetch_page
 from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.wire import BUFFER_BYTES
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
+from station.lab.endpoints import AddressInUse, PtyDeviceEnd, TcpDeviceEnd, UdpDeviceEnd
 from station.lab.faults import LabFault
-from station.lab.lab_server import LabServer, PtyDeviceEnd, TcpDeviceEnd
-from station.lab.loads import ConstantLoad
-from station.lab.netft.simulated import NetftFaults
-from station.lab.netft.wire import AddressInUse, UdpDeviceEnd
+from station.lab.lab_server import LabServer
 from station.lab.plant import Plant
+from station.lab.simulated_netft import NetftFaults
+from station.lab.wires import BUFFER_BYTES
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET
 

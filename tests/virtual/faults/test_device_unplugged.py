@@ -7,8 +7,8 @@ import pytest
 
 from station.control.states import State
 from station.control.task import Phase
-from station.devices.links.rediscover import UsbPort, find
-from station.lab.aurora.ports import PortHandles
+from station.devices.links.link import UsbPort, find
+from station.lab.aurora_commands import PortHandles
 from tests.harness.virtual_station import VirtualStation
 
 

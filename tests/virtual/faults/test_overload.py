@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from station.config.loads import Load
 from station.control.progress_monitor import OVERLOAD_TIME_S
 from station.control.states import State
-from station.lab.loads import Load
 from tests.harness.virtual_station import VirtualStation
 
 STIFFNESS_N_M = 2000.0

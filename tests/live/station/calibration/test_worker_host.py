@@ -10,7 +10,7 @@ import pytest
 from station.calibration.procedure import AbortedError
 from station.calibration.worker import CalibrationJob
 from station.calibration.worker_host import WorkerHost
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from core.control.force_fusion import fuse_at
+from station.config.loads import ConstantLoad
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Devices
 from station.devices.links.link import DatagramLink, SerialLink
@@ -17,7 +18,6 @@ from station.devices.open_devices import OpenError, open_devices
 from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
 from station.lab.lab_server import LabServer
-from station.lab.loads import ConstantLoad
 from tests.harness.running_lab import running
 
 PARK = np.array([0.2, 1.2, -0.08])

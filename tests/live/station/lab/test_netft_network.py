@@ -9,10 +9,10 @@ import httpx
 import numpy as np
 import pytest
 
-from station.devices.netft.page import read_page
-from station.devices.netft.sensors import BoxAddress, SensorError, connect
-from station.lab.netft.simulated import BoxSettings, SimulatedNetft
-from station.lab.netft.wire import AddressInUse, PageServer, UdpDeviceEnd
+from station.devices.ati.calibration import read_page
+from station.devices.ati.netft import BoxAddress, SensorError, connect
+from station.lab.endpoints import AddressInUse, PageServer, UdpDeviceEnd
+from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from tests.harness.netft_bench import PERFECT, TICK, WRENCH
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from station.control.states import State
 from station.lab.config import LabConfig
-from station.lab.endpoints import devices_at
-from station.lab.lab_server import LabServer
+from station.lab.lab_server import LabServer, devices_at
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
 from tests.harness.running_lab import running

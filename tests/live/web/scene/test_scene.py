@@ -12,12 +12,12 @@ import pytest
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array, Robot
 from station.config.controllers import ControllerFile
+from station.config.loads import ConstantLoad, NoLoad
 from station.config.motions import CircleMotion, HoldMotion, JointSweepMotion, Motion, Orders, SinusoidMotion
 from station.config.robots import load_robot
 from station.control.loop import MotionTask
 from station.control.states import State
 from station.control.telemetry import Channels
-from station.lab.loads import ConstantLoad, NoLoad
 from tests.harness.leftovers import nothing_left_behind
 from tests.harness.viewing import Viewed, viewing
 from tests.harness.waiting import until

@@ -134,7 +134,7 @@ def test_calibration_files_are_read_back_unchanged(subject, found, folder):
     np.testing.assert_allclose(known.corrections.sensors.mounting, found.sensors.sensors.mounting, rtol=0, atol=1e-8)
     assert known.registration is not None
     point = np.array([10.0, -20.0, -300.0])  # position of a coil in the generator's frame [mm]
-    from station.lab.aurora.coil import GENERATOR_POSE
+    from station.lab.aurora_coil import GENERATOR_POSE
 
     expected = found.calibration.frames.registration.apply(GENERATOR_POSE.world(tuple(point)))
     np.testing.assert_allclose(known.registration.world(tuple(point)), expected, rtol=0, atol=1e-8)

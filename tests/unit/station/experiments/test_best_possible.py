@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from core.model.cosserat import ExactRod
+from station.config.loads import ConstantLoad, ContactLoad, NoLoad, RaisedCosineLoad, TrapezoidLoad
 from station.config.motions import CircleMotion, Orders
 from station.experiments.best_possible import BoundedCase, bound, cases_to_bound, with_bound
 from station.experiments.experiment import load_experiment
-from station.lab.loads import ConstantLoad, ContactLoad, NoLoad, RaisedCosineLoad, TrapezoidLoad
 from station.lab.virtual_bench import virtual_bench
 from tests.harness.cases import a_case
 

@@ -4,12 +4,12 @@ import re
 
 import pytest
 
+from station.config.loads import HungWeightLoad, NoLoad, RampLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
 from station.experiments.case_summary import case_facts, describe_keys
 from station.experiments.experiment import offered_experiment
 from station.lab.faults import LabFault
-from station.lab.loads import HungWeightLoad, NoLoad, RampLoad
 from tests.harness.cases import a_case
 
 

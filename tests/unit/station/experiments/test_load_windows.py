@@ -1,7 +1,7 @@
 """The parts of a motion between two changes of its load."""
 
+from station.config.loads import NoLoad, TapLoad, TrapezoidLoad
 from station.experiments.load_windows import load_windows, window_name
-from station.lab.loads import NoLoad, TapLoad, TrapezoidLoad
 
 LIFTED = TrapezoidLoad(magnitude=0.5, rise=1.0, stay=4.0, fall=0.5, start=2.0)
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from station.config.loads import Load, NoLoad, TrapezoidLoad
 from station.control.telemetry import Channels
 from station.experiments.results import summarise
 from station.experiments.runner import Recording
-from station.lab.loads import Load, NoLoad, TrapezoidLoad
 from tests.harness.cases import a_case
 
 #: Rows of 4 s at 10 Hz. Every other row has a new tracker frame, which is 50 ms old.

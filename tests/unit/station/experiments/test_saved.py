@@ -3,11 +3,11 @@
 import pytest
 
 from station.config.controllers import DEFAULT_CONTROLLER
+from station.config.loads import TrapezoidLoad
 from station.config.motions import WaypointsMotion
 from station.config.strict import EXPERIMENTS_VARIABLE, preset_names
 from station.experiments.experiment import load_experiment
 from station.experiments.saved import EXPERIMENTS_FOLDER, FreeMotion, SavedAlreadyError, save, saved_motion, use_saved
-from station.lab.loads import TrapezoidLoad
 
 MOTION = FreeMotion(
     title="there and back",

@@ -6,10 +6,9 @@ import pytest
 from station.control.clock import StationClock
 from station.devices.config import Mount
 from station.devices.open_devices import plan
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig, TrackerConfig
-from station.lab.endpoints import devices_at
-from station.lab.lab_server import LabServer
+from station.lab.lab_server import LabServer, devices_at
 
 
 def test_endpoints_of_a_lab_give_a_valid_device_configuration(paper):

@@ -12,8 +12,7 @@ from core.model.cosserat import ExactRod
 from core.robot.robot import Joint, Robot, Section, Tube
 from station.config.robots import load_robot
 from station.lab.config import PlantConfig, load_lab
-from station.lab.frictional_plant import STANDARD_GRAVITY, FrictionalPlant
-from station.lab.true_plant import true_plant
+from station.lab.frictional_plant import STANDARD_GRAVITY, FrictionalPlant, true_plant
 
 START = np.array([0.0, math.pi / 2, -0.100])
 BARE = PlantConfig(

@@ -8,8 +8,8 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from core.errors import ContractError
+from station.config.loads import ConstantLoad, HungWeightLoad, Load, NoLoad, RaisedCosineLoad, SineLoad, force_of
 from station.config.strict import ConfigError, Strict, check
-from station.lab.loads import ConstantLoad, HungWeightLoad, Load, NoLoad, RaisedCosineLoad, SineLoad, force_of
 
 
 class Holder(Strict):

@@ -8,9 +8,9 @@ import pytest
 
 from station.config.robots import load_robot
 from station.lab.config import BaseSensorConfig, load_lab
-from station.lab.netft.simulated import SimulatedNetft
-from station.lab.netft.wire import MemoryDatagramEnd
-from station.lab.true_plant import true_plant
+from station.lab.frictional_plant import true_plant
+from station.lab.simulated_netft import SimulatedNetft
+from station.lab.wires import MemoryDatagramEnd
 
 START = np.array([0.0, 1.5708, -0.1])
 

@@ -5,7 +5,7 @@ import pytest
 
 from station.config.strict import ConfigError, check
 from station.lab.config import LabConfig, TargetConfig
-from station.lab.target import MovingTarget
+from station.lab.simulated_bench import MovingTarget
 
 TIP = np.array([0.01, 0.02, 0.15])
 TIMES = np.arange(0.0, 240.0, 0.02)

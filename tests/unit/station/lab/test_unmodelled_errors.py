@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from core.model.cosserat import ExactRod
+from station.config.loads import ConstantLoad, ContactLoad
 from station.config.strict import ConfigError
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import HiddenConfig, LabConfig, load_lab
-from station.lab.loads import ConstantLoad, ContactLoad
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.unmodelled_errors import SENSOR_CENTRE_OF_MASS_M, UnmodelledErrors
 

@@ -10,9 +10,8 @@ from station.config.strict import ConfigError
 from station.control.process import ring_width
 from station.control.ring import Ring
 from station.lab.config import LabConfig
-from station.lab.endpoints import devices_at
 from station.lab.faults import LabFault
-from station.lab.lab_server import LabServer
+from station.lab.lab_server import LabServer, devices_at
 from station.service.backend import Backend
 from station.service.station_file import load_station
 

@@ -7,7 +7,7 @@ import pytest
 
 from station.calibration.folder import new_folder
 from station.config.strict import ConfigError
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.service.live_calibration import LiveCalibration, assumed_mount
 from station.service.station_file import load_station
 from tests.harness.own_devices import OWN_DEVICES

@@ -14,11 +14,11 @@ from core.control.step import Controller
 from station.calibration.procedure import AbortedError, GoToPose, SwingMotion
 from station.calibration.visiting import measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
+from station.config.loads import ConstantLoad
 from station.control.loop import ControlLoop
 from station.control.settle_and_tare import AVERAGE_S
 from station.control.states import State
 from station.lab.config import load_lab
-from station.lab.loads import ConstantLoad
 from station.lab.virtual_bench import virtual_bench
 
 START = np.array([0.0, np.pi / 2, -0.100])

@@ -8,13 +8,13 @@ import pytest
 
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
+from station.config.loads import ConstantLoad
 from station.config.motions import CircleMotion, HoldMotion, JointSweepMotion, Orders
 from station.control.loop import ControlLoop, MotionTask, Phase
 from station.control.states import RefusedError, State
 from station.devices.interfaces import Condition, Devices, TipReading, WrenchReading
 from station.devices.zaber.protocol import ZaberCommand
 from station.experiments.experiment import Case
-from station.lab.loads import ConstantLoad
 from tests.harness.cases import a_case
 from tests.harness.watched_bench import Bench
 

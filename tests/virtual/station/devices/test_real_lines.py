@@ -8,11 +8,10 @@ import pytest
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.aurora import wire as aurora_wire
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.simulated import SimulatedAurora
+from station.lab import simulated_aurora, simulated_zaber
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import TrackerConfig
-from station.lab.zaber import simulated as simulated_zaber
+from station.lab.simulated_aurora import SimulatedAurora
 from tests.harness.aurora_bench import REST
 from tests.harness.real_lines import pty_line, socket_line
 from tests.harness.zaber_bench import START, Bench
@@ -57,7 +56,7 @@ def test_tracker_on_a_real_line_is_set_up_at_a_higher_rate(line):
             assert now < 20.0, tracker.report(now)
             unit.advance(now, now + TICK, REST, REST)
             now += TICK
-            aurora_wire.pump(far, unit, now)
+            simulated_aurora.pump(far, unit, now)
             reading = tracker.poll(now)
             if reading is not None:
                 read.append(reading.position)

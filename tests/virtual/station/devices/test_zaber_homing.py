@@ -7,7 +7,7 @@ import pytest
 from station.devices.links.link import Link
 from station.devices.zaber.protocol import ZaberError
 from station.devices.zaber.stages import Condition
-from station.lab.zaber.simulated import Faults
+from station.lab.simulated_zaber import Faults
 from tests.harness.zaber_bench import TICK, Bench, connected
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from station.devices.zaber.protocol import ZaberMessage
 from station.devices.zaber.stages import Condition
-from station.lab.zaber.simulated import Faults
+from station.lab.simulated_zaber import Faults
 from tests.harness.zaber_bench import LINEAR, Bench, connected, swing
 
 

@@ -12,8 +12,8 @@ from pydantic import TypeAdapter, ValidationError
 
 import station
 from core.control.controllers import STRATEGIES
+from station.config import loads
 from station.experiments.experiment import load_experiment
-from station.lab import loads
 from station.service.station_file import load_station
 from tests.harness.cases import a_run
 

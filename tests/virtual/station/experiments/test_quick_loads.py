@@ -8,8 +8,8 @@ import pytest
 from pydantic import TypeAdapter
 
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S, ControllerFile
+from station.config.loads import Load
 from station.lab.config import load_lab
-from station.lab.loads import Load
 from tests.harness.cases import a_case, a_run
 
 ON = 1.0

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from station.config.loads import ConstantLoad, RaisedCosineLoad
 from station.control.clock import VirtualClock
 from station.control.states import State
 from station.experiments import runner
 from station.experiments.runner import Recording, run_case
 from station.lab.config import LabConfig, PlantConfig, TrackerConfig
-from station.lab.loads import ConstantLoad, RaisedCosineLoad
 from tests.harness.cases import a_case, a_run
 
 SEED = 3

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
-from station.devices.aurora.measurement import FrameQuality
+from station.devices.ati.protocol import SATURATED, RdtCommand, Record, records, request
+from station.devices.aurora.session import FrameQuality
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.links.link import LinkError, reopen
-from station.devices.netft.protocol import SATURATED, RdtCommand, Record, records, request
 from station.devices.zaber.protocol import ZaberCommand as Zaber
 from station.devices.zaber.protocol import ZaberMessage, ZaberParser, encode
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import SimulatedBench

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from station.config.loads import ConstantLoad
 from station.experiments.experiment import offered_experiment
 from station.lab.config import LabConfig, PlantConfig
-from station.lab.ideal_lab import IdealLab
-from station.lab.loads import ConstantLoad
+from station.lab.virtual_bench import IdealLab
 
 START = np.array([0.0, math.pi / 2, -0.100])
 

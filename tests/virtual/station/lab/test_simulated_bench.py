@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from core.control.force_fusion import closure, fuse_at
+from station.config.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
 from station.config.robots import RobotFile, load_robot
-from station.devices.aurora.measurement import FrameQuality
+from station.devices.ati.calibration import read_page
+from station.devices.ati.netft import NetftSensors
+from station.devices.aurora.session import FrameQuality
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.interfaces import JointReading, TipReading, WrenchReading
-from station.devices.netft.page import read_page
-from station.devices.netft.sensors import NetftSensors
 from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.aurora.coil import GENERATOR_POSE
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import BaseSensorConfig, LabConfig, PlantConfig, TrackerConfig
-from station.lab.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
 from station.lab.simulated_bench import SimulatedBench
 
 TICK = 0.002

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
-from station.devices.netft.page import read_page
-from station.devices.netft.sensors import NetftSensors, WrenchQuality
-from station.lab.netft.wire import MAX_PENDING_DATAGRAMS
+from station.devices.ati.calibration import read_page
+from station.devices.ati.netft import NetftSensors, WrenchQuality
+from station.lab.wires import MAX_PENDING_DATAGRAMS
 from tests.harness.netft_bench import STREAM, TICK, WRENCH, Bench
 
 

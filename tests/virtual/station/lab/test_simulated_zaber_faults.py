@@ -3,8 +3,8 @@
 import pytest
 
 from station.devices.zaber.protocol import ZaberMessage
-from station.lab.zaber.simulated import Faults, SimulatedChain
-from station.lab.zaber.unit import Unit
+from station.lab.simulated_zaber import Faults, SimulatedChain
+from station.lab.zaber_unit import Unit
 from tests.harness.zaber_wire import LINEAR, ROTARY, SPEED, Wire
 
 

@@ -12,11 +12,11 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.devices.interfaces import NotStopped
 from station.devices.links.link import SerialLink
 from station.devices.zaber.emergency_stop import Units, stop_stages
-from station.devices.zaber.frame_safety import NO_DATA
 from station.devices.zaber.protocol import (
     BAUD,
     MESSAGE_BYTES,
     MESSAGE_TIME_S,
+    NO_DATA,
     ZaberCommand,
     ZaberMessage,
     ZaberStatus,

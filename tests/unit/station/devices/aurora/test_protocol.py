@@ -8,11 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.devices.aurora.protocol import AuroraError, ReplyReader, binary, crc16, framed
-from station.devices.aurora.replies import (
+from station.devices.aurora.protocol import (
+    AuroraError,
+    ReplyReader,
     ToolState,
+    binary,
+    crc16,
     error_code,
     error_words,
+    framed,
     parse_bx,
     parse_phinf,
     parse_phsr,

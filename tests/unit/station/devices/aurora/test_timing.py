@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.devices.aurora.timing import FrameClock, JumpGate
+from station.devices.aurora.session import FrameClock, JumpGate
 
 
 def test_late_replies_do_not_move_the_time_of_a_frame():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from station.devices.links.rediscover import UsbPort, describe, find, usb_ports
+from station.devices.links.link import UsbPort, describe, find, usb_ports
 
 FTDI = (0x0403, 0x6001)
 PROLIFIC = (0x067B, 0x2303)

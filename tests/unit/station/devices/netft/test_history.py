@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.devices.netft.history import HISTORY_SAMPLES, SampleHistory
+from station.devices.ati.netft import HISTORY_SAMPLES, SampleHistory
 
 SCALE = np.array([[1.0] * 6, [0.5] * 6])
 

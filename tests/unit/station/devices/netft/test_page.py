@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.devices.netft.page import PageError, read_page
+from station.devices.ati.calibration import PageError, read_page
 
 ELEMENTS = {
     "prodname": "Net F/T",

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from station.devices.netft.protocol import (
+from station.devices.ati.protocol import (
     LATENCY_S,
     Counters,
     RdtCommand,

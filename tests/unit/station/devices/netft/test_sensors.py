@@ -6,11 +6,11 @@ import struct
 import numpy as np
 import pytest
 
+from station.devices.ati.calibration import NetftPage
+from station.devices.ati.netft import BoxAddress, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
+from station.devices.ati.protocol import LATENCY_S
 from station.devices.links.link import LinkError
-from station.devices.netft.page import NetftPage
-from station.devices.netft.protocol import LATENCY_S
-from station.devices.netft.sensors import BoxAddress, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
-from station.lab.netft.wire import MemoryDatagramEnd
+from station.lab.wires import MemoryDatagramEnd
 
 #: Page with the counts of a box whose units are N and N-mm.
 PAGE = NetftPage("Net F/T", "FT1", 1e-6, 1e-9, None)

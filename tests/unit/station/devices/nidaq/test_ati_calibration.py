@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.devices.nidaq.ati_calibration import AXES, CalibrationError, parse_calibration, read_calibration
+from station.devices.ati.calibration import AXES, CalibrationError, parse_calibration, read_calibration
 
 HEAD = {
     "PartNumber": "SI-18-0.25",

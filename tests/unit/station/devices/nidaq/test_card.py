@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
+from station.devices.ati.nidaq import NiCard, device_of
 from station.devices.links.link import LinkError
 from station.devices.links.port_lock import PortLock
-from station.devices.nidaq.card import NiCard, device_of
 
 SENSORS = [("Dev1/ai0:5", 10.0)]
 

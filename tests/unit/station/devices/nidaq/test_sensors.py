@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from station.devices.ati.calibration import GaugeCalibration
+from station.devices.ati.nidaq import CardClock, CardQuality, CardSensors, Wiring, mean_wrench
 from station.devices.interfaces import Condition, Severity
 from station.devices.links.link import LinkError
-from station.devices.nidaq.ati_calibration import GaugeCalibration
-from station.devices.nidaq.sensors import CardClock, CardQuality, CardSensors, Wiring, mean_wrench
 
 RATE = 5000.0
 TICK = 0.002

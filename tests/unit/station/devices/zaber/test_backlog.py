@@ -2,7 +2,7 @@
 
 import pytest
 
-from station.devices.zaber.backlog import LATE_REPLIES, Backlog
+from station.devices.zaber.estimate import LATE_REPLIES, Backlog
 from station.devices.zaber.protocol import MESSAGE_TIME_S
 from tests.harness.zaber_host import Host, changing
 

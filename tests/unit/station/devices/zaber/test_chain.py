@@ -6,8 +6,17 @@ from dataclasses import replace
 import pytest
 
 from station.devices.zaber.chain import LineSettings
-from station.devices.zaber.dialogue import Reply, ReplyLost, Request, ResetDone, UnexpectedMotion, UnsolicitedError
-from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberMessage
+from station.devices.zaber.protocol import (
+    BYTE_TIME_S,
+    MESSAGE_TIME_S,
+    Reply,
+    ReplyLost,
+    Request,
+    ResetDone,
+    UnexpectedMotion,
+    UnsolicitedError,
+    ZaberMessage,
+)
 from tests.fuzz.zaber import fuzz
 from tests.harness.zaber_host import AXES, TICK, Host, changing
 

@@ -7,9 +7,16 @@ from itertools import pairwise
 import pytest
 
 from station.devices.zaber.chain import Axis, LineSettings, ZaberChain
-from station.devices.zaber.dialogue import Request
-from station.devices.zaber.frame_safety import alias_number, safe_speed
-from station.devices.zaber.protocol import BYTE_TIME_S, RESYNC_GAP_S, ZaberMessage, decode, encode
+from station.devices.zaber.protocol import (
+    BYTE_TIME_S,
+    RESYNC_GAP_S,
+    Request,
+    ZaberMessage,
+    alias_number,
+    decode,
+    encode,
+    safe_speed,
+)
 
 DEVICES = (1, 2, 3)
 ALIASES = tuple(alias_number(index) for index in range(3))

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from station.config.robots import RobotFile
-from station.devices.zaber.homing import Homing, homing_step
+from station.devices.zaber.sequences import Homing, homing_step
 from station.devices.zaber.setup import StageSetup
 
 

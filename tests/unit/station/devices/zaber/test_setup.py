@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.protocol import ZaberError
 from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.zaber.simulated import SimulatedChain, pump
-from station.lab.zaber.unit import Unit, UnitKind
+from station.lab.simulated_zaber import SimulatedChain, pump
+from station.lab.wires import HostPort
+from station.lab.zaber_unit import Unit, UnitKind
 
 MICROMETRE = 1e-6
 
@@ -53,7 +53,8 @@ def test_backwards_mounted_stage_homes_and_moves_in_the_right_direction(paper):
     joint = paper.joints[2]
     setup = StageSetup.of(joint, 1, backwards=True)
     unit = Unit(UnitKind(4332, setup.maximum), 1, 20_000.0)
-    host, device = memory_pipe("line")
+    host = HostPort("line")
+    device = host.device
     chain, stages, now = SimulatedChain([unit]), ZaberStages([setup], [PortSetup(host, (0,))]), 0.0
 
     def run(seconds: float, velocity: float | None = None) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from station.lab.aurora.coil import GENERATOR_POSE, Coil
+from station.lab.aurora_coil import GENERATOR_POSE, Coil
 from station.lab.config import TrackerConfig
 
 TIP = np.array([0.010, -0.020, 0.190])

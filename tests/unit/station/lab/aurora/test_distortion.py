@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from station.lab.aurora.coil import GENERATOR_POSE, VOLUME_MM, Coil
-from station.lab.aurora.distortion import Distortion
+from station.lab.aurora_coil import GENERATOR_POSE, VOLUME_MM, Coil, Distortion
 from station.lab.config import TrackerConfig
 
 BOX = 1e-3 * np.array(VOLUME_MM)

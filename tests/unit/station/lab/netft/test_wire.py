@@ -2,9 +2,9 @@
 
 import pytest
 
-from station.devices.netft.protocol import LATENCY_S
-from station.lab.netft.simulated import BoxSettings
-from station.lab.netft.wire import respond
+from station.devices.ati.protocol import LATENCY_S
+from station.lab.endpoints import respond
+from station.lab.simulated_netft import BoxSettings
 
 
 @pytest.mark.parametrize(

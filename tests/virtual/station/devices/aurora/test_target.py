@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from station.devices.aurora.protocol import AuroraError, ReplyReader
-from station.devices.aurora.replies import PORT_OCCUPIED, parse_bx, parse_tx
-from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings
+from station.devices.aurora.protocol import PORT_OCCUPIED, AuroraError, ReplyReader, parse_bx, parse_tx
 from station.devices.interfaces import Severity
-from station.lab.aurora.ports import ToolPort
-from station.lab.aurora.simulated import TARGET_SERIAL
+from station.lab.aurora_commands import ToolPort
+from station.lab.simulated_aurora import TARGET_SERIAL
 from tests.harness.aurora_bench import REST, AuroraBench
 
 WITH = AuroraSettings(target_serial=TARGET_SERIAL)

@@ -5,16 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from station.devices.aurora.dialogue import SerialBreak
-from station.devices.aurora.measurement import FrameQuality
-from station.devices.aurora.protocol import AuroraError
-from station.devices.aurora.replies import Transform
-from station.devices.aurora.session import AuroraSession
-from station.devices.aurora.settings import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings, SerialBreak
+from station.devices.aurora.protocol import AuroraError, Transform
+from station.devices.aurora.session import AuroraSession, FrameQuality
 from station.devices.aurora.tracker import AuroraTracker
-from station.devices.links.memory_pipe import memory_pipe
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.wire import HostPort, pump
+from station.lab.aurora_coil import GENERATOR_POSE
+from station.lab.simulated_aurora import pump
+from station.lab.wires import HostPort
 from tests.harness.aurora_bench import REST, AuroraBench
 
 
@@ -262,7 +259,8 @@ def test_late_replies_get_the_times_of_their_frames():
 
 def test_poll_never_raises_for_any_bytes():
     rng = np.random.default_rng(0)
-    host, device = memory_pipe("noise")
+    host = HostPort("noise")
+    device = host.device
     tracker = AuroraTracker(host)
     for tick in range(3000):
         device.write(rng.bytes(int(rng.integers(0, 60))))

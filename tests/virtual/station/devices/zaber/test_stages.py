@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import ZaberError
 from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.zaber.simulated import Faults
+from station.lab.simulated_zaber import Faults
+from station.lab.wires import HostPort
 from tests.harness.zaber_bench import ROTARY, START, STEPS, Bench, connected, swing
 
 
@@ -52,7 +52,7 @@ class TestSetup:
 
     def test_ports_must_carry_every_stage_once(self, paper):
         setups = [StageSetup.of(joint, k + 1) for k, joint in enumerate(paper.joints)]
-        host, _ = memory_pipe("line")
+        host = HostPort("line")
         with pytest.raises(ZaberError, match=r"\[0, 1\]"):
             ZaberStages(setups, [PortSetup(host, (0, 1))])
         with pytest.raises(ZaberError, match="same device number"):

@@ -5,13 +5,12 @@ import struct
 import numpy as np
 import pytest
 
-from station.devices.aurora.protocol import ReplyReader, framed
-from station.devices.aurora.replies import ToolState, parse_bx, parse_tx
+from station.devices.aurora.protocol import ReplyReader, ToolState, framed, parse_bx, parse_tx
 from station.devices.links.link import LinkError
-from station.lab.aurora.coil import GENERATOR_POSE
-from station.lab.aurora.simulated import MAX_PENDING_COMMANDS, SimulatedAurora
-from station.lab.aurora.wire import BUFFER_BYTES, HostPort, pump
+from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import TrackerConfig
+from station.lab.simulated_aurora import MAX_PENDING_COMMANDS, SimulatedAurora, pump
+from station.lab.wires import BUFFER_BYTES, HostPort
 from tests.fuzz.aurora import fuzz
 
 TIP = np.array([0.010, -0.020, 0.190])

@@ -4,11 +4,10 @@ from itertools import pairwise
 
 import pytest
 
-from station.devices.links.memory_pipe import memory_pipe
 from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberMessage, decode, encode, with_id
-from station.lab.zaber.motion import quickest_motion
-from station.lab.zaber.simulated import BUFFER_BYTES, RENUMBER_TIME_S, SimulatedChain, pump
-from station.lab.zaber.unit import Unit, UnitKind
+from station.lab.simulated_zaber import BUFFER_BYTES, RENUMBER_TIME_S, SimulatedChain, pump
+from station.lab.wires import HostPort
+from station.lab.zaber_unit import Unit, UnitKind, quickest_motion
 from tests.harness.real_lines import pty_line, socket_line
 from tests.harness.zaber_wire import LINEAR, RAMP, ROTARY, SPEED, Wire
 
@@ -348,7 +347,8 @@ def test_zaber_motion_does_not_depend_on_the_polling_rate():
 
 def test_zaber_query_gets_the_same_answer_over_pipe_pty_and_socket():
     """The answer to a query does not depend on the kind of link."""
-    host, device = memory_pipe("chain")
+    host = HostPort("chain")
+    device = host.device
     assert queried(host, device) == ZaberMessage(2, 50, 4332)
 
     for line in (pty_line, socket_line):

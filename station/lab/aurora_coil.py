@@ -1,14 +1,46 @@
 """The coil of a simulated Aurora tracker. It measures frames at a fixed rate, independent of the host's requests."""
 
 from collections import deque
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from core.robot.robot import Array
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.aurora.distortion import Distortion
 from station.lab.config import TrackerConfig
+
+WAVE_COUNT = 8
+#: Shortest and longest wave of the distortion [m].
+MIN_WAVELENGTH_M, MAX_WAVELENGTH_M = 0.30, 1.0
+#: Number of points along each edge of the measured cube at which the RMS of the distortion is computed.
+GRID_POINTS = 12
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """Position error of the tracker as a function of the position."""
+
+    waves: Array  #: wave vectors (w, 3) [rad/m]
+    phases: Array  #: (w,) [rad]
+    amplitudes: Array  #: (w, 3) [m]
+
+    @classmethod
+    def drawn(cls, rms: float, box: Array, rng: np.random.Generator) -> Self:
+        """Return a field whose length has this RMS [m] over a box: lower and upper bound of each axis (3, 2) [m]."""
+        directions = rng.standard_normal((WAVE_COUNT, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        waves = directions * (2.0 * np.pi / rng.uniform(MIN_WAVELENGTH_M, MAX_WAVELENGTH_M, (WAVE_COUNT, 1)))
+        field = cls(waves, rng.uniform(0.0, 2.0 * np.pi, WAVE_COUNT), rng.standard_normal((WAVE_COUNT, 3)))
+        edges = [np.linspace(low, high, GRID_POINTS) for low, high in box]
+        errors = field.at(np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 3))
+        found = float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+        return cls(field.waves, field.phases, field.amplitudes * (rms / found))
+
+    def at(self, positions: Array) -> Array:
+        """Return the errors (..., 3) [m] at `positions` (..., 3) [m]."""
+        return np.sin(positions @ self.waves.T + self.phases) @ self.amplitudes
+
 
 #: Pose of the field generator in the virtual lab: 0.2 m behind the front plate, turned by half a turn about x, so that
 #: the robot's workspace is in the middle of the measurement volume.

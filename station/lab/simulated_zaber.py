@@ -22,11 +22,11 @@ from station.devices.zaber.protocol import (
     decode,
     encode,
 )
-from station.lab.zaber.unit import Unit
+from station.lab.wires import BUFFER_BYTES
+from station.lab.zaber_unit import Unit
 
 RENUMBER_TIME_S = 0.5  #: time after Renumber in which the units ignore commands [s]
 ALIAS = int(ZaberCommand.SET_ALIAS)
-BUFFER_BYTES = 4096  #: size of a serial port's buffer in each direction [bytes]
 
 
 class Faults(NamedTuple):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from core.compiled import compiled
 from core.robot.robot import Array
-from station.devices.netft.protocol import (
+from station.devices.ati.protocol import (
     ERROR_SUMMARY,
     HEADER,
     LATENCY_S,
@@ -27,7 +27,7 @@ from station.devices.netft.protocol import (
     RdtCommand,
 )
 from station.lab.config import BaseSensorConfig
-from station.lab.netft.wire import Address, DatagramDeviceEnd
+from station.lab.wires import Address, DatagramDeviceEnd
 
 Octets = NDArray[np.uint8]
 #: Rate of the internal counter of a perfect box [1/s].

@@ -7,6 +7,7 @@ specify are parameters.
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from station.devices.zaber.protocol import (
     ACCELERATION_UNIT,
@@ -22,7 +23,28 @@ from station.devices.zaber.protocol import (
     top_speed,
     with_id,
 )
-from station.lab.zaber.motion import Segment, quickest_motion
+
+
+class Segment(NamedTuple):
+    """Segment of a motion with constant acceleration."""
+
+    duration: float  #: [s]
+    acceleration: float  #: [microsteps/s^2]
+
+
+def quickest_motion(position: float, velocity: float, goal: float, top: float, acceleration: float) -> list[Segment]:
+    """Return the fastest motion to rest at `goal` [microsteps] at no more than `top` [microsteps/s]."""
+    rest = position + velocity * abs(velocity) / (2.0 * acceleration)
+    side = 1.0 if goal >= rest else -1.0
+    distance, speed = side * (goal - position), side * velocity
+    peak = min(top, math.sqrt(max(0.0, acceleration * distance + 0.5 * speed * speed)))
+    ramp = acceleration if peak >= speed else -acceleration
+    cruise = distance - (peak * peak - speed * speed) / (2.0 * ramp) - peak * peak / (2.0 * acceleration)
+    segments = [Segment(abs(peak - speed) / acceleration, side * ramp)]
+    if peak > 0.0:
+        segments += [Segment(max(0.0, cruise) / peak, 0.0), Segment(peak / acceleration, -side * acceleration)]
+    return segments
+
 
 RESTART_TIME_S = 0.5  #: time after Reset in which a unit ignores commands [s]
 TRACKING_INTERVAL_S = 0.25  #: time between two replies of move tracking [s]

@@ -15,11 +15,21 @@ import numpy as np
 from core.robot.robot import Array
 from station.devices.aurora.protocol import POWER_UP_BAUD, framed
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.aurora.coil import GENERATOR_POSE, Coil
-from station.lab.aurora.commands import MAX_COMMAND_BYTES, AuroraRefusal, number, parse_command, parse_rate
-from station.lab.aurora.frames import bx_reply, requests_beyond_volume, tx_reply
-from station.lab.aurora.ports import PortHandles
+from station.devices.links.link import Link, LinkError
+from station.lab.aurora_coil import GENERATOR_POSE, Coil
+from station.lab.aurora_commands import (
+    MAX_COMMAND_BYTES,
+    AuroraRefusal,
+    PortHandles,
+    bx_reply,
+    number,
+    parse_command,
+    parse_rate,
+    requests_beyond_volume,
+    tx_reply,
+)
 from station.lab.config import TrackerConfig
+from station.lab.wires import BUFFER_BYTES, SerialDeviceEnd
 
 #: Time from the last byte of a command to the first of its reply (unconfirmed) [s].
 REPLY_DELAYS_S = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TSTOP": 0.02}
@@ -27,7 +37,6 @@ USUAL_REPLY_DELAY_S = 0.0005
 TARGET_SERIAL = "3A5C1D01"  #: serial number of the coil on a moving target, if the lab has a target
 RESET_TIME_S = 0.5  #: time from a break to RESET (unconfirmed) [s]
 MAX_PENDING_COMMANDS = 64  #: largest number of waiting commands, and of waiting replies; further ones are lost
-PORT_BUFFER = 4096  #: bytes that can wait for transmission; further bytes are lost, as in a serial port [bytes]
 
 
 @dataclass
@@ -141,7 +150,7 @@ class SimulatedAurora:
             data = self._garbage(len(data))
         time = max(start, self._received_until)
         backlog = math.ceil((time - start) * self.baud / self._character)
-        data = data[: max(0, PORT_BUFFER - backlog)]
+        data = data[: max(0, BUFFER_BYTES - backlog)]
         for byte in self._with_faults(data):
             time += self._character / self.baud
             if byte == 0x0D:
@@ -300,3 +309,25 @@ class SimulatedAurora:
             if (coil := self._target if port.target else self._coil) is not None
         ]
         return reply(tools, beyond, self.handles.changed)
+
+
+def pump(link: Link, unit: SimulatedAurora, now: float) -> None:
+    """Transmit bytes between the device's end of any link and the tracker; if the link fails the tracker continues.
+
+    Only a line in memory transmits a break. `now` [s] is virtual or real time, the same as that of `advance`.
+    """
+    if isinstance(link, SerialDeviceEnd) and link.broken:
+        link.broken = False
+        unit.restart(now)
+    try:
+        data = link.read()
+        if not data and unit.due > now:
+            unit.last_poll = now
+            return
+        host_baud: int | None = getattr(link, "host_baud", None)  # most links do not have it
+        unit.receive(data, now, host_baud)
+        data = unit.transmit(now, host_baud)
+        if data:
+            link.write(data)
+    except LinkError:
+        return

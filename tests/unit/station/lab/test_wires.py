@@ -1,13 +1,14 @@
-"""A pipe in memory, and the effect of an unplugged cable on both ends."""
+"""A serial line in memory, and the effect of an unplugged cable on both ends."""
 
 import pytest
 
 from station.devices.links.link import LinkError, reopen
-from station.devices.links.memory_pipe import MAX_PENDING_WRITES, memory_pipe
+from station.lab.wires import BUFFER_BYTES, HostPort
 
 
-def test_pipe_transfers_bytes_in_both_directions_in_order():
-    host, device = memory_pipe("line")
+def test_line_transfers_bytes_in_both_directions_in_order():
+    host = HostPort("line")
+    device = host.device
     host.write(b"ab")
     host.write(b"c")
     device.write(b"xy")
@@ -16,18 +17,20 @@ def test_pipe_transfers_bytes_in_both_directions_in_order():
     assert (host.read(), device.read()) == (b"", b"")
 
 
-def test_unread_bytes_of_a_pipe_are_limited():
-    host, device = memory_pipe("line")
-    for k in range(3 * MAX_PENDING_WRITES):
+def test_unread_bytes_of_a_line_are_limited():
+    host = HostPort("line")
+    device = host.device
+    for k in range(3 * BUFFER_BYTES):
         device.write(bytes((k % 256,)))
         host.write(b"x")
 
-    assert host.read() == bytes(k % 256 for k in range(2 * MAX_PENDING_WRITES, 3 * MAX_PENDING_WRITES))
-    assert len(device.read()) == MAX_PENDING_WRITES
+    assert host.read() == bytes(k % 256 for k in range(BUFFER_BYTES))
+    assert device.read() == b"x" * BUFFER_BYTES
 
 
 def test_unplugged_cable_raises_for_the_host_and_is_silent_for_the_device():
-    host, device = memory_pipe("line")
+    host = HostPort("line")
+    device = host.device
     device.unplug()
     for use in (host.read, lambda: host.write(b"x"), lambda: reopen(host)):
         with pytest.raises(LinkError, match=r"line .*plugged"):
@@ -37,7 +40,8 @@ def test_unplugged_cable_raises_for_the_host_and_is_silent_for_the_device():
 
 
 def test_replugged_link_must_be_reopened_and_drops_old_bytes():
-    host, device = memory_pipe("line")
+    host = HostPort("line")
+    device = host.device
     host.write(b"in transit")
     device.write(b"unread")
     device.unplug()
@@ -51,7 +55,8 @@ def test_replugged_link_must_be_reopened_and_drops_old_bytes():
 
 
 def test_closed_link_stays_closed_until_it_is_reopened():
-    host, device = memory_pipe("line")
+    host = HostPort("line")
+    device = host.device
     host.close()
     with pytest.raises(LinkError, match="closed"):
         host.read()
@@ -62,6 +67,6 @@ def test_closed_link_stays_closed_until_it_is_reopened():
 
 
 def test_link_that_cannot_be_reopened_raises():
-    _, device = memory_pipe("line")
+    device = HostPort("line").device
     with pytest.raises(LinkError, match=r"line \(device\) cannot be opened again"):
         reopen(device)
