@@ -30,7 +30,7 @@ from station.config.strict import error_lines, key_of
 from station.control import ring
 from station.control.realtime import last_core
 from station.control.states import RefusedError
-from station.devices.links import port_lock
+from station.devices.links.link import clear_left_behind
 from station.experiments.saved import use_saved
 from station.recording.history import RunHistory
 from station.service.audit import Audit
@@ -122,7 +122,7 @@ def serve(
     out = Console(highlight=False, soft_wrap=True)
     options.check()
     ring.clear_left_behind()
-    port_lock.clear_left_behind()
+    clear_left_behind()
     station = load_station(config, changes)
     use_saved(data)
     bench = station.bench()

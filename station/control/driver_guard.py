@@ -32,8 +32,7 @@ from station.devices.interfaces import (
     TipReading,
     WrenchReading,
 )
-from station.devices.open_devices import DEVICE_KINDS
-from station.devices.registry import BUILT_IN_DRIVERS, DeviceKind
+from station.devices.registry import BUILT_IN_DRIVERS, DEVICE_KINDS, DeviceKind
 
 #: Duration of a call to custom code [s], above which the call is named as a likely cause of a late tick.
 SLOW_CALL_S = 0.5 * PERIOD_S

@@ -31,8 +31,7 @@ from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
-from station.devices.open_devices import open_devices
-from station.devices.registry import emergency_stop
+from station.devices.registry import emergency_stop, open_devices
 
 #: Time without heartbeat and without use of a processor after which the station process counts as stalled, so that
 #: motion is stopped [s].

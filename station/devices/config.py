@@ -19,14 +19,12 @@ tubes.outer.host = "192.168.1.12"
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from core.robot.robot import Array, Base
-from station.config.strict import ConfigError, Name, NotNegative, Positive, Row, Strict, Vector
-from station.devices.ati.netft import NetftSettings
-from station.devices.ati.protocol import RDT_PORT
-from station.devices.aurora.dialogue import AuroraSettings
-from station.devices.zaber.chain import LineSettings
+from station.config.strict import ConfigError, Strict, Vector
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
 
 #: pyserial's name of a port: /dev/ttyUSB0, COM3, socket://host:port.
 Serial = Annotated[str, Field(min_length=1)]
@@ -87,112 +85,6 @@ class Mount(Strict):
         return Base(self.position, self.rotation_vector).rotation
 
 
-class StageFile(Strict):
-    """One Zaber unit."""
-
-    port: Serial | None = None
-    """port of this stage alone; default: the chain's port"""
-    device: Annotated[int, Field(ge=1, le=254)]
-    """device number of the unit on the chain"""
-    home_at: float | None = None
-    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
-    travel at which the unit counts 0"""
-    backwards: bool = False
-    """whether the unit's count increases when the joint's position decreases"""
-    home_speed: Positive | None = None
-    """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
-    device_id: Annotated[int, Field(ge=0)] | None = None
-    """device id that the unit must report"""
-    serial: Annotated[int, Field(ge=0)] | None = None
-    """serial number that the unit must report"""
-
-
-class ZaberFile(Strict):
-    """Zaber T-series stages on one chain, or with a separate port for each stage."""
-
-    port: Serial | None = None
-    """port of the chain"""
-    joints: Mapping[Name, StageFile] = {}
-    """the unit of each joint; default: device numbers 1, 2, ... in the order of the robot's joints"""
-    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = LineSettings.deadline
-    """longest time from the start of a request to its reply [s]; a stage is lost after two missing replies in a row"""
-
-
-class AuroraFile(Strict):
-    """NDI Aurora tracker."""
-
-    port: Serial
-    """serial port of the tracker"""
-    tool: str = ""
-    """serial number of the coil at the tip, as the tracker reports it; "": the first tool"""
-    target: str = ""
-    """serial number of a second coil, on the target of the motion `follow`; "": no second coil"""
-    baud: int = AuroraSettings.baud
-    """baud rate to which the driver switches; the tracker must support this rate [bit/s]"""
-    frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
-    """number of frames that the tracker measures per second [1/s]"""
-    latency: NotNegative = AuroraSettings.latency
-    """shortest time from a measurement to the arrival of the reply with this measurement at 115200 baud [s]"""
-    always_tx: bool = False
-    """request frames as text (TX), for very old firmware"""
-    fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
-    """port status bits that invalidate a measurement, in addition to the two out-of-volume bits"""
-    mount: Mount = Mount()
-    """pose of the field generator in the world, from a registration"""
-    coil_to_tip: float = 0.0
-    """distance from the coil to the robot's tip along the coil's axis [m]"""
-
-
-class ForceBoxFile(Strict):
-    """One ATI Net F/T box."""
-
-    host: Annotated[str, Field(min_length=1)]
-    """host name or IP address of the box"""
-    rdt_port: TcpPort = RDT_PORT
-    """UDP port of its datagrams"""
-    http_port: TcpPort = 80
-    """TCP port of its configuration page"""
-    serial: str | None = None
-    """serial number of the calibration that the box must report; default: any"""
-    mount: Mount = Mount()
-    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
-
-
-class NetftFile(Strict):
-    """ATI Net F/T boxes, one for each tube."""
-
-    tubes: Mapping[Name, ForceBoxFile]
-    stale_after: Positive = NetftSettings.stale_after
-    """time without a usable record after which a sensor counts as stale [s]"""
-    latency: NotNegative = NetftSettings.latency
-    """time from a measurement until the box sends its record [s]"""
-    ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = NetftSettings.ranges  # pyright: ignore[reportAssignmentType] - six numbers
-    """calibrated ranges of Fx Fy Fz Tx Ty Tz, used if the box's configuration page has none [N, N m]"""
-
-
-class CardFile(Strict):
-    """One ATI sensor on an NI card."""
-
-    channels: Annotated[str, Field(min_length=1)]
-    """six differential inputs in the order of the gauges, as NI names them: Dev1/ai0:5"""
-    calibration: str
-    """path of ATI's .cal file for this sensor"""
-    serial: str | None = None
-    """serial number of the sensor that the .cal file must contain; default: any"""
-    mount: Mount = Mount()
-    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
-
-
-class NidaqFile(Strict):
-    """ATI sensors on NI cards, one for each tube."""
-
-    tubes: Mapping[Name, CardFile]
-    rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
-    """sampling rate of each input [1/s]"""
-    stale_after: Positive = 0.05
-    """time without a usable sample after which a sensor counts as stale [s]"""
-
-
 Part = TypeVar("Part")
 
 
@@ -209,3 +101,56 @@ def in_order(parts: Mapping[str, Part], names: Sequence[str], key: str) -> list[
         if name not in parts:
             raise ConfigError(f"{key}.{name} is missing")
     return [parts[name] for name in names]
+
+
+def transport(mount: Mount) -> Array:
+    """Return the matrix (6, 6) from wrenches in the sensor's frame to wrenches in the frame at the tube's proximal end.
+
+    f' = R f and m' = R m + p x R f, with the position p and the rotation R of the mount.
+    """
+    x, y, z = mount.position
+    rotation, shift = mount.rotation, np.eye(6)
+    shift[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    rotated = np.zeros((6, 6))
+    rotated[:3, :3] = rotated[3:, 3:] = rotation
+    return shift @ rotated
+
+
+def mounted(sensors: BaseSensors, mounts: Sequence[Mount]) -> BaseSensors:
+    """Return sensors with their mounts applied, one per tube; without a mount return the sensors unchanged."""
+    return sensors if all(mount == Mount() for mount in mounts) else MountedSensors(sensors, mounts)
+
+
+class MountedSensors:
+    """Sensors whose wrenches are transformed by their mounts."""
+
+    def __init__(self, sensors: BaseSensors, mounts: Sequence[Mount]) -> None:
+        self._sensors = sensors
+        self._transports = np.array([transport(mount) for mount in mounts])
+
+    @property
+    def condition(self) -> Condition:
+        """Connection state of the sensors."""
+        return self._sensors.condition
+
+    def connect(self, now: float) -> None:
+        """Connect the sensors."""
+        self._sensors.connect(now)
+
+    def poll(self, now: float) -> WrenchReading:
+        """Return the newest sample, in the frames at the tubes' proximal ends."""
+        reading = self._sensors.poll(now)
+        wrenches = np.einsum("kij,kj->ki", self._transports, reading.wrenches)
+        return WrenchReading(reading.time, wrenches, reading.usable)
+
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return the most severe fault of the sensors, or None."""
+        return self._sensors.trouble(now)
+
+    def details(self) -> Mapping[str, Any]:
+        """Return identity and counters of the sensors."""
+        return self._sensors.details()
+
+    def close(self) -> None:
+        """Close the sensors."""
+        self._sensors.close()

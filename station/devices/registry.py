@@ -1,4 +1,6 @@
-"""Finds drivers by name: built-in drivers, and installed drivers with an entry point `ctr_station.devices`.
+"""Finds drivers by name and opens the devices of a bench, all or none.
+
+A driver is built in, or installed with an entry point `ctr_station.devices`.
 
 An installed driver is a callable `open(options, robot)` that returns a device with an interface of `interfaces.py`.
 `options` is the device's table of the station file without the key `driver`. If the callable raises, the station opens
@@ -6,20 +8,27 @@ no device. A callable for stages has an attribute `emergency_stop(options, robot
 process stops the stages.
 """
 
+import contextlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, cast
 
+from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
-from station.devices.built_in import aurora, netft, nidaq, zaber
-from station.devices.interfaces import BaseSensors, EmergencyStop, Stages, Tracker
+from station.devices.ati.netft import netft
+from station.devices.ati.nidaq import nidaq
+from station.devices.aurora.tracker import aurora
+from station.devices.config import BenchFile
+from station.devices.interfaces import BaseSensors, Devices, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
+from station.devices.zaber.stages import zaber
 
 ENTRY_POINT_GROUP = "ctr_station.devices"
 
 DeviceKind = Literal["stages", "tracker", "sensors"]
+DEVICE_KINDS: tuple[DeviceKind, ...] = ("stages", "tracker", "sensors")
 #: Function that opens a device whose options have been checked.
 Opener = Callable[[], Any]
 #: Function that checks the options of a device and returns the device's opener.
@@ -113,3 +122,42 @@ def _opened(
 def _origin(point: EntryPoint) -> str:
     """Return the module, the attribute and the package of an entry point, for error messages."""
     return point.value if point.dist is None else f"{point.value} of {point.dist.name}"
+
+
+class OpenError(CtrError):
+    """A device cannot be opened; the text names its table in the station file, its port and what to do."""
+
+
+def plan(bench: BenchFile, robot: RobotFile) -> dict[DeviceKind, Opener]:
+    """Check the configuration, and return an opener for each device; no device is opened yet.
+
+    Raises:
+        ConfigError: an invalid key; the text names the key, the value and what was expected.
+    """
+    openers: dict[DeviceKind, Opener] = {}
+    for kind in DEVICE_KINDS:
+        options = dict(getattr(bench, kind))
+        openers[kind] = find(kind, options.pop("driver"))(options, robot)
+    return openers
+
+
+def open_devices(bench: BenchFile, robot: RobotFile) -> Devices:
+    """Open every device of a bench without connecting it. The call may wait for the web page of a force sensor's box.
+
+    Raises:
+        ConfigError: an invalid key; the text names the key, the value and what was expected.
+        OpenError: a device cannot be opened; the devices opened before it have been closed again.
+    """
+    openers = plan(bench, robot)
+    with contextlib.ExitStack() as opened:
+        devices = []
+        for kind in DEVICE_KINDS:
+            try:
+                devices.append(openers[kind]())
+            except CtrError as error:
+                raise OpenError(f"devices.{kind}: {error}") from None
+            except (Exception, SystemExit) as error:  # an installed driver can raise anything
+                raise OpenError(f"devices.{kind}: {type(error).__name__}: {error}") from error
+            opened.callback(devices[-1].close)
+        opened.pop_all()
+        return Devices(*devices)

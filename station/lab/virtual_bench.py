@@ -28,7 +28,6 @@ from station.devices.interfaces import (
     TipReading,
     WrenchReading,
 )
-from station.devices.links.link import reopen
 from station.devices.zaber.setup import PortSetup
 from station.devices.zaber.stages import ZaberStages
 from station.lab.aurora_coil import GENERATOR_POSE
@@ -238,14 +237,10 @@ def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE)
         measures_axis=tracker.direction_noise is not None,
     )
     return Devices(
-        ZaberStages(lab.setups, [PortSetup(lab.hosts.zaber, tuple(range(len(lab.setups))))], reopen=_reopened),
-        AuroraTracker(lab.hosts.aurora, settings, registration, reopen),
+        ZaberStages(lab.setups, [PortSetup(lab.hosts.zaber, tuple(range(len(lab.setups))))]),
+        AuroraTracker(lab.hosts.aurora, settings, registration),
         NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
     )
-
-
-def _reopened(ports: Sequence[PortSetup]) -> list[PortSetup]:
-    return [PortSetup(reopen(port.link), port.stages) for port in ports]
 
 
 #: Largest number of ticks that a bench in memory needs to reach the state READY.

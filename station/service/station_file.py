@@ -19,8 +19,7 @@ from station.control.clock import StationClock
 from station.control.margins import Margins, check_design
 from station.control.overruns import OverrunLimits
 from station.devices.config import BenchFile, DevicesFile
-from station.devices.open_devices import plan
-from station.devices.registry import emergency_stop
+from station.devices.registry import emergency_stop, plan
 from station.lab.config import load_lab
 from station.service.rig import Rig
 

@@ -1,6 +1,12 @@
-"""ATI's two calibration files: the page `netftapi2.xml` of a Net F/T box, and the .cal file of a sensor on an analog card.
+"""ATI's calibrations: the page `netftapi2.xml` of a Net F/T box, and the .cal file of a sensor on an analog card.
 
-The parsers are strict, because a wrong scale gives a wrong force.
+The parsers are strict, because a wrong scale gives a wrong force. The page must be well-formed XML without a DOCTYPE.
+Each of its five required elements must occur once and contain only text: positive finite numbers and known unit names.
+The calibration's serial number and ranges are optional. The parser ignores all other elements.
+
+A .cal file has a 6x6 matrix that converts six gauge voltages into a wrench: one row per axis about the transducer's
+origin, a scale by which the row must be divided, and a translation to the tool's origin. Newer files (version 1.1) also
+contain the resulting rows about the tool's origin.
 """
 
 import math

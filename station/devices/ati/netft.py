@@ -5,17 +5,20 @@ An invalid sample never replaces the last valid wrench of its sensor. `quality` 
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
-from typing import Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import httpx
 import numpy as np
+from pydantic import Field
 
 from core.compiled import compiled, copy
 from core.errors import CtrError
 from core.robot.robot import Array, Indices
+from station.config.robots import RobotFile
+from station.config.strict import Name, NotNegative, Positive, Row, Strict, check
 from station.devices.ati.calibration import MAX_PAGE_BYTES, NetftPage, read_page
 from station.devices.ati.protocol import (
     LATENCY_S,
@@ -32,7 +35,8 @@ from station.devices.ati.protocol import (
     is_usable,
     request,
 )
-from station.devices.interfaces import Condition, DeviceFault, Severity, WrenchReading
+from station.devices.config import Mount, TcpPort, in_order, mounted
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, Severity, WrenchReading
 from station.devices.links.link import DatagramLink, LinkError
 
 #: Samples stored per sensor: those of several ticks at the highest record rate.
@@ -470,3 +474,39 @@ def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) 
             link.close()
         raise
     return NetftSensors(links, pages, settings)
+
+
+class ForceBoxFile(Strict):
+    """One ATI Net F/T box."""
+
+    host: Annotated[str, Field(min_length=1)]
+    """host name or IP address of the box"""
+    rdt_port: TcpPort = RDT_PORT
+    """UDP port of its datagrams"""
+    http_port: TcpPort = 80
+    """TCP port of its configuration page"""
+    serial: str | None = None
+    """serial number of the calibration that the box must report; default: any"""
+    mount: Mount = Mount()
+    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
+
+
+class NetftFile(Strict):
+    """ATI Net F/T boxes, one for each tube."""
+
+    tubes: Mapping[Name, ForceBoxFile]
+    stale_after: Positive = NetftSettings.stale_after
+    """time without a usable record after which a sensor counts as stale [s]"""
+    latency: NotNegative = NetftSettings.latency
+    """time from a measurement until the box sends its record [s]"""
+    ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = NetftSettings.ranges  # pyright: ignore[reportAssignmentType] - six numbers
+    """calibrated ranges of Fx Fy Fz Tx Ty Tz, used if the box's configuration page has none [N, N m]"""
+
+
+def netft(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
+    """Return the opener of ATI Net F/T boxes; raises ConfigError."""
+    file = check(NetftFile, options, "devices.sensors")
+    boxes = in_order(file.tubes, [tube.name for tube in robot.tubes], "devices.sensors.tubes")
+    settings = NetftSettings(stale_after=file.stale_after, latency=file.latency, ranges=file.ranges)
+    addresses = [BoxAddress(box.host, box.rdt_port, box.http_port, box.serial) for box in boxes]
+    return lambda: mounted(connect(addresses, settings), [box.mount for box in boxes])

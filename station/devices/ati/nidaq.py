@@ -4,19 +4,25 @@ The mean over a tick has less noise than the last sample; its time is the middle
 internal clock, so the driver computes the time of a sample from the number of the sample.
 """
 
+import contextlib
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
-from typing import Any, NamedTuple, Protocol
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
+from pydantic import Field
 
+from core.errors import CtrError
 from core.robot.robot import Array
-from station.devices.ati.calibration import GaugeCalibration
-from station.devices.interfaces import Condition, DeviceFault, Severity, WrenchReading
-from station.devices.links.link import LinkError
-from station.devices.links.port_lock import PortInUse, PortLock
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError, Name, Positive, Strict, check
+from station.devices.ati.calibration import GaugeCalibration, read_calibration
+from station.devices.config import Mount, in_order, mounted
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, Severity, WrenchReading
+from station.devices.links.link import LinkError, PortLock
 
 #: Capacity of NI's buffer: if the control loop does not read for longer, samples are lost [s].
 BUFFER_S = 10.0
@@ -51,10 +57,7 @@ class NiCard:
         except ImportError:
             raise LinkError(f"{self.name}: an NI card needs the package nidaqmx; {INSTALL_HINT}") from None
         self._error: type[Exception] = daq.errors.Error
-        try:
-            self._lock = PortLock(f"nidaq://{self.name}")
-        except PortInUse as error:
-            raise LinkError(str(error)) from None
+        self._lock = PortLock(f"nidaq://{self.name}")
         task: Any = None
         try:
             task = daq.Task()
@@ -280,3 +283,64 @@ class CardSensors:
             else:
                 wrenches[i], self._last_usable[i], self._times[i] = wrench, now, time
         return wrenches
+
+
+class CardFile(Strict):
+    """One ATI sensor on an NI card."""
+
+    channels: Annotated[str, Field(min_length=1)]
+    """six differential inputs in the order of the gauges, as NI names them: Dev1/ai0:5"""
+    calibration: str
+    """path of ATI's .cal file for this sensor"""
+    serial: str | None = None
+    """serial number of the sensor that the .cal file must contain; default: any"""
+    mount: Mount = Mount()
+    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
+
+
+class NidaqFile(Strict):
+    """ATI sensors on NI cards, one for each tube."""
+
+    tubes: Mapping[Name, CardFile]
+    rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
+    """sampling rate of each input [1/s]"""
+    stale_after: Positive = 0.05
+    """time without a usable sample after which a sensor counts as stale [s]"""
+
+
+def nidaq(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
+    """Return the opener of ATI sensors on NI cards; raises ConfigError."""
+    key = "devices.sensors"
+    file = check(NidaqFile, options, key)
+    sensors = in_order(file.tubes, [tube.name for tube in robot.tubes], f"{key}.tubes")
+    cards: dict[str, list[tuple[str, float]]] = {}
+    gauges: list[tuple[str, int, GaugeCalibration]] = []
+    for tube, sensor in zip(robot.tubes, sensors, strict=True):
+        calibration = _calibration(sensor, f"{key}.tubes.{tube.name}")
+        inputs = cards.setdefault(device_of(sensor.channels), [])
+        gauges.append((device_of(sensor.channels), 6 * len(inputs), calibration))
+        inputs.append((sensor.channels, calibration.volts))
+    wirings = [Wiring(list(cards).index(card), first, calibration) for card, first, calibration in gauges]
+
+    def cards_opened() -> list[NiCard]:
+        with contextlib.ExitStack() as opened:
+            found: list[NiCard] = []
+            for inputs in cards.values():
+                found.append(NiCard(inputs, file.rate))
+                opened.callback(found[-1].close)
+            opened.pop_all()
+            return found
+
+    return lambda: mounted(CardSensors(cards_opened, wirings, file.stale_after), [sensor.mount for sensor in sensors])
+
+
+def _calibration(sensor: CardFile, key: str) -> GaugeCalibration:
+    try:
+        calibration = read_calibration(Path(sensor.calibration))
+    except CtrError as error:
+        raise ConfigError(f"{key}.calibration: {error}") from None
+    if sensor.serial is not None and calibration.serial != sensor.serial:
+        raise ConfigError(
+            f"{key}.serial = '{sensor.serial}': {sensor.calibration} is for '{calibration.serial}'; exchanged files?"
+        )
+    return calibration

@@ -1,4 +1,4 @@
-"""Protocol of ATI Net F/T boxes, raw data transfer (RDT) by UDP: requests, records, sequence, status and clock; without I/O.
+"""Protocol of ATI Net F/T boxes, raw data transfer (RDT) by UDP: records, sequence, status and clock; without I/O.
 
 A record has no checksum except that of UDP. A wrong record is detected by the length of its datagram, by its two
 counters, which increase together, and by the clock. All numbers in datagrams are big-endian.

@@ -3,16 +3,21 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
+from core.errors import CtrError
 from core.robot.robot import Array
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError, NotNegative, Strict, check
 from station.devices.aurora.dialogue import AuroraSettings, RateChange, SerialBreak
-from station.devices.aurora.protocol import ToolIdentity
+from station.devices.aurora.protocol import POWER_UP_BAUD, ToolIdentity
 from station.devices.aurora.session import AuroraSession, FrameCounts, FrameQuality, TrackerFrame
+from station.devices.config import Mount, Serial
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
-from station.devices.links.link import Link, LinkError
+from station.devices.links.link import Link, LinkError, SerialLink, reopen
 
 #: The tracker counts as silent after this time without a new frame, which is four frames [s].
 SILENCE_TIMEOUT_S = 0.1
@@ -53,10 +58,7 @@ class AuroraTracker:
         link: Link,
         settings: AuroraSettings | None = None,
         registration: TrackerMounting | None = None,
-        reopen: Callable[[Link], Link] | None = None,
     ) -> None:
-        """`reopen` opens a lost link again, or raises LinkError."""
-        self._reopen = reopen
         self._link = link
         self._settings = settings or AuroraSettings()
         self._registration = registration or TrackerMounting()
@@ -73,9 +75,9 @@ class AuroraTracker:
 
     def connect(self, now: float) -> None:  # noqa: ARG002 - the session connects by itself when it is polled
         """Open a lost link again; a running session continues unchanged."""
-        if self._lost and self._reopen is not None:
+        if self._lost:
             try:
-                self.attach(self._reopen(self._link))
+                self.attach(reopen(self._link))
             except LinkError as error:
                 self._lost = str(error)
 
@@ -194,3 +196,50 @@ class AuroraTracker:
             set_break = getattr(self._link, "set_break", None)
             if set_break is not None:
                 set_break(order.low)
+
+
+class AuroraFile(Strict):
+    """NDI Aurora tracker."""
+
+    port: Serial
+    """serial port of the tracker"""
+    tool: str = ""
+    """serial number of the coil at the tip, as the tracker reports it; "": the first tool"""
+    target: str = ""
+    """serial number of a second coil, on the target of the motion `follow`; "": no second coil"""
+    baud: int = AuroraSettings.baud
+    """baud rate to which the driver switches; the tracker must support this rate [bit/s]"""
+    frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
+    """number of frames that the tracker measures per second [1/s]"""
+    latency: NotNegative = AuroraSettings.latency
+    """shortest time from a measurement to the arrival of the reply with this measurement at 115200 baud [s]"""
+    always_tx: bool = False
+    """request frames as text (TX), for very old firmware"""
+    fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """port status bits that invalidate a measurement, in addition to the two out-of-volume bits"""
+    mount: Mount = Mount()
+    """pose of the field generator in the world, from a registration"""
+    coil_to_tip: float = 0.0
+    """distance from the coil to the robot's tip along the coil's axis [m]"""
+
+
+def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraTracker]:  # noqa: ARG001
+    """Return the opener of an NDI Aurora; raises ConfigError."""
+    key = "devices.tracker"
+    file = check(AuroraFile, options, key)
+    try:
+        settings = AuroraSettings(
+            tool_serial=file.tool,
+            target_serial=file.target,
+            baud=file.baud,
+            frame_rate=file.frame_rate,
+            latency=file.latency,
+            always_tx=file.always_tx,
+            coil_to_tip=1e3 * file.coil_to_tip,
+            fault_bits=file.fault_bits,
+        )
+    except CtrError as error:
+        wrong = f"target = '{file.target}'" if file.target and file.target == file.tool else f"baud = {file.baud}"
+        raise ConfigError(f"{key}.{wrong}: {error}") from None
+    registration = TrackerMounting(file.mount.rotation, np.array(file.mount.position))
+    return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration)

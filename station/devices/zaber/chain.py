@@ -69,7 +69,7 @@ class LineSettings:
     #: A reply is dropped if its bytes have a longer gap between them [s]. The manufacturer recommends 10 ms, but
     #: a USB adapter may delay bytes by 16 ms.
     silence: float = 0.025
-    pause: float = 0.0  #: pause after each forward speed [s]; 0.0125 or more prevents misreading (`frame_safety.py`)
+    pause: float = 0.0  #: pause after each forward speed [s]; 0.0125 or more prevents misreading (`safe_speed`)
     refresh: float = 0.25  #: an unchanged velocity is repeated after this time, in case it was not received [s]
     stop_tries: int = 3  #: number of stop commands that a homing unit may ignore before the host resets the unit
     restart: float = 1.0  #: time after a reset in which a unit does not answer [s]

@@ -12,8 +12,7 @@ from typing import Any
 
 from station.config.robots import RobotFile
 from station.devices.interfaces import Clock, EmergencyStop, NotStopped
-from station.devices.links.link import LinkError, SerialLink
-from station.devices.links.port_lock import lock_file
+from station.devices.links.link import LinkError, SerialLink, lock_file
 from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import (
     BAUD,

@@ -1,4 +1,4 @@
-"""Estimate of a Zaber axis's position between two position readings, and plausibility of these readings.
+"""Estimates from the replies of Zaber units: the position of an axis, and the backlog of the line.
 
 The estimate integrates the unit's velocity ramps. Each velocity sent by the host counts from the time of its effect. A
 reading is compared with the position that was estimated for the moment of the reading. Messages have no checksum.
@@ -113,13 +113,6 @@ class AxisEstimate:
         self.position = position
 
 
-# Estimates the backlog of a serial line from the delays of its replies. Without I/O.
-#
-# The backlog is the time that sent bytes wait for transmission. While the controller moves the robot, the host uses the
-# full capacity of the line. If the operating system, an adapter or a slightly slower clock delays a message, all
-# following messages are delayed as well, and this delay does not decrease. An idle line has no backlog, so replies on an
-# idle line give the smallest delay.
-
 #: Number of late replies in a row that indicate a backlog; an adapter may delay single replies by up to 16 ms.
 LATE_REPLIES = 12
 #: Smallest backlog for which the host pauses [s].
@@ -127,7 +120,12 @@ MIN_BACKLOG_S = 0.004
 
 
 class Backlog:
-    """Backlog of one serial line."""
+    """Backlog of one serial line: the time that sent bytes wait for transmission.
+
+    While the controller moves the robot, the host uses the full capacity of the line. If the operating system, an
+    adapter or a slightly slower clock delays a message, all following messages are delayed as well, and this delay does
+    not decrease. An idle line has no backlog, so replies on an idle line give the smallest delay.
+    """
 
     def __init__(self) -> None:
         self._best = math.inf  # smallest delay of replies to requests on an idle line [s]

@@ -1,10 +1,17 @@
 """Configuration of a Zaber stage: its joint, its microstep count, and its serial line."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from station.config.robots import JointFile
+from station.config.strict import Name, Positive, Strict
+from station.devices.config import Serial
 from station.devices.links.link import Link
+from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import (
     ACCELERATION_UNIT,
     MAX_POSITION,
@@ -14,6 +21,37 @@ from station.devices.zaber.protocol import (
     speed_data,
     top_speed,
 )
+
+
+class StageFile(Strict):
+    """One Zaber unit."""
+
+    port: Serial | None = None
+    """port of this stage alone; default: the chain's port"""
+    device: Annotated[int, Field(ge=1, le=254)]
+    """device number of the unit on the chain"""
+    home_at: float | None = None
+    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
+    travel at which the unit counts 0"""
+    backwards: bool = False
+    """whether the unit's count increases when the joint's position decreases"""
+    home_speed: Positive | None = None
+    """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
+    device_id: Annotated[int, Field(ge=0)] | None = None
+    """device id that the unit must report"""
+    serial: Annotated[int, Field(ge=0)] | None = None
+    """serial number that the unit must report"""
+
+
+class ZaberFile(Strict):
+    """Zaber T-series stages on one chain, or with a separate port for each stage."""
+
+    port: Serial | None = None
+    """port of the chain"""
+    joints: Mapping[Name, StageFile] = {}
+    """the unit of each joint; default: device numbers 1, 2, ... in the order of the robot's joints"""
+    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = LineSettings.deadline
+    """longest time from the start of a request to its reply [s]; a stage is lost after two missing replies in a row"""
 
 
 @dataclass(frozen=True)

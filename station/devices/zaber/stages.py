@@ -4,17 +4,24 @@ Connecting and homing are sequences of requests, which `poll` advances. Events o
 `condition` of the stages, and `problem` states the reason for a FAULT as text.
 """
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from core.errors import CtrError
 from core.robot.robot import Array
+from station.config.robots import JointFile, RobotFile
+from station.config.strict import ConfigError, check
+from station.devices.config import in_order
 from station.devices.interfaces import Condition, DeviceFault, JointReading, Severity
-from station.devices.links.link import LinkError
+from station.devices.links.link import LinkError, SerialLink, reopen
 from station.devices.zaber.chain import Axis, LineCounts, LineSettings, ZaberChain
 from station.devices.zaber.protocol import (
+    BAUD,
     FIRST_ALIAS,
     SPEED_UNIT,
     Happening,
@@ -28,7 +35,7 @@ from station.devices.zaber.protocol import (
     error_text,
 )
 from station.devices.zaber.sequences import Identity, Script, Sequences, Units
-from station.devices.zaber.setup import PortSetup, StageSetup
+from station.devices.zaber.setup import PortSetup, StageFile, StageSetup, ZaberFile
 
 
 class ZaberStages:
@@ -39,10 +46,7 @@ class ZaberStages:
         setups: Sequence[StageSetup],
         ports: Sequence[PortSetup],
         line: LineSettings | None = None,
-        reopen: Callable[[Sequence[PortSetup]], Sequence[PortSetup]] | None = None,
     ) -> None:
-        """Use the stages on `ports`; `reopen` opens lost ports again, or raises LinkError."""
-        self._reopen = reopen
         self._units = Units(setups)
         self._sequences = Sequences(self._units)
         self.setups = self._units.setups
@@ -140,9 +144,10 @@ class ZaberStages:
 
     def connect(self, now: float, ports: Sequence[PortSetup] | None = None) -> None:
         """Identify and set up every unit; `ports` replaces lost ports. Later calls accept only the same units."""
-        if ports is None and self._broken and self._reopen is not None:
+        if ports is None and self._broken:
             try:
-                ports = self._reopen(self.ports)
+                for port in self.ports:
+                    reopen(port.link)
             except LinkError as error:
                 self.condition, self.problem = Condition.FAULT, str(error)
                 return
@@ -337,3 +342,49 @@ class ZaberStages:
         chain.lost |= set(range(len(chain.axes)))
         chain.stopping.clear()
         self._lose(self.ports[which].stages, str(error))
+
+
+def zaber(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], ZaberStages]:
+    """Return the opener of Zaber T-series stages; raises ConfigError."""
+    key = "devices.stages"
+    file = check(ZaberFile, options, key)
+    if file.joints:
+        stages = in_order(file.joints, [joint.name for joint in robot.joints], f"{key}.joints")
+    else:
+        stages = [StageFile(device=number) for number, _ in enumerate(robot.joints, 1)]
+    lines: dict[str, list[int]] = {}
+    for i, (joint, stage) in enumerate(zip(robot.joints, stages, strict=True)):
+        port = stage.port or file.port
+        if port is None:
+            raise ConfigError(f"{key}.port is missing: {joint.name} has no port, and the chain has none")
+        others = lines.setdefault(port, [])
+        twin = next((k for k in others if stages[k].device == stage.device), None)
+        if twin is not None:
+            raise ConfigError(
+                f"{key}.joints.{joint.name}.device = {stage.device}: {robot.joints[twin].name} has the same number on "
+                f"{port}; give each unit of a chain a different number"
+            )
+        others.append(i)
+    setups = [_setup(joint, stage, f"{key}.joints") for joint, stage in zip(robot.joints, stages, strict=True)]
+
+    def opener() -> ZaberStages:
+        with contextlib.ExitStack() as opened:
+            ports: list[PortSetup] = []
+            for url, indices in lines.items():
+                link = SerialLink(url, BAUD)
+                opened.callback(link.close)
+                ports.append(PortSetup(link, tuple(indices)))
+            stages = ZaberStages(setups, ports, LineSettings(deadline=file.deadline))
+            opened.pop_all()
+            return stages
+
+    return opener
+
+
+def _setup(joint: JointFile, stage: StageFile, key: str) -> StageSetup:
+    try:
+        setup = StageSetup.of(joint, stage.device, stage.home_at, stage.backwards)
+        speed = setup.home_speed if stage.home_speed is None else stage.home_speed
+        return replace(setup, home_speed=speed, device_id=stage.device_id, serial=stage.serial)
+    except CtrError as error:
+        raise ConfigError(f"{key}.{error}") from None

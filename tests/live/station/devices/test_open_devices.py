@@ -14,7 +14,7 @@ from station.config.loads import ConstantLoad
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Devices
 from station.devices.links.link import DatagramLink, SerialLink
-from station.devices.open_devices import OpenError, open_devices
+from station.devices.registry import OpenError, open_devices
 from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
 from station.lab.lab_server import LabServer

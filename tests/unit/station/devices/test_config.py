@@ -8,7 +8,7 @@ import pytest
 
 from station.config.strict import ConfigError, Strict, check
 from station.devices.config import BenchFile, DevicesFile, Mount
-from station.devices.open_devices import plan
+from station.devices.registry import plan
 
 
 class File(Strict):

@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from station.devices.config import Mount
+from station.devices.config import Mount, mounted, transport
 from station.devices.interfaces import WrenchReading
-from station.devices.mounting import mounted, transport
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -15,8 +15,7 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.devices import registry
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Severity, TipReading
-from station.devices.open_devices import plan
-from station.devices.registry import emergency_stop, find
+from station.devices.registry import emergency_stop, find, plan
 from station.service.station_file import load_station
 from tests.harness import example_stages, example_tracker
 from tests.harness.own_devices import OWN_DEVICES

@@ -9,7 +9,7 @@ import pytest
 import station
 from station.cli.main import parser
 from station.config.strict import preset_names
-from station.devices.open_devices import plan
+from station.devices.registry import plan
 from station.service.station_file import load_station
 from tests.harness.root import ROOT
 

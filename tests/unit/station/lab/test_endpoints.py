@@ -5,7 +5,7 @@ import pytest
 
 from station.control.clock import StationClock
 from station.devices.config import Mount
-from station.devices.open_devices import plan
+from station.devices.registry import plan
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig, TrackerConfig
 from station.lab.lab_server import LabServer, devices_at

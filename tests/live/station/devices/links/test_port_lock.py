@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from station.devices.links.link import DatagramLink, LinkError, SerialLink
-from station.devices.links.port_lock import PortInUse, PortLock, device_name, lock_file
+from station.devices.links.link import DatagramLink, LinkError, PortInUse, PortLock, SerialLink, device_name, lock_file
 
 KEEP_OPEN = """
 import sys

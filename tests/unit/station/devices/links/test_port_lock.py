@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from station.devices.links.port_lock import PortInUse, PortLock, clear_left_behind, lock_file
+from station.devices.links.link import PortInUse, PortLock, clear_left_behind, lock_file
 
 
 def test_unlocked_files_are_removed_and_a_device_in_use_stays_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -6,8 +6,7 @@ import sys
 import pytest
 
 from station.devices.ati.nidaq import NiCard, device_of
-from station.devices.links.link import LinkError
-from station.devices.links.port_lock import PortLock
+from station.devices.links.link import LinkError, PortLock
 
 SENSORS = [("Dev1/ai0:5", 10.0)]
 
