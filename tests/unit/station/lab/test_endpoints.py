@@ -1,33 +1,28 @@
-"""The endpoints of the live virtual lab are converted to a device configuration."""
+"""The simulated Net F/T box answers requests of a browser for its page."""
 
-import numpy as np
 import pytest
 
-from station.control.clock import StationClock
-from station.devices.config import Mount
-from station.devices.registry import plan
-from station.lab.aurora_coil import GENERATOR_POSE
-from station.lab.config import LabConfig, TrackerConfig
-from station.lab.lab_server import LabServer, devices_at
+from station.devices.ati.protocol import LATENCY_S
+from station.lab.endpoints import respond
+from station.lab.simulated_netft import BoxSettings
 
 
-def test_endpoints_of_a_lab_give_a_valid_device_configuration(paper):
-    config = LabConfig(tracker=TrackerConfig(rate=20.0, latency=0.030))
-    with LabServer(paper, config, 0, np.array([0.2, 1.2, -0.08])) as lab:
-        bench = devices_at(lab.endpoints, config)
-        assert set(plan(bench, paper)) == {"stages", "tracker", "sensors"}
-        assert bench.stages["port"] == lab.endpoints["zaber"]
-        assert list(bench.sensors["tubes"]) == ["inner", "outer"]
-    assert (bench.tracker["frame_rate"], bench.tracker["latency"]) == (20.0, 0.030)
-    mount = Mount(**bench.tracker["mount"])
-    assert mount.rotation == pytest.approx(GENERATOR_POSE.rotation, abs=1e-15)
-    assert np.array(mount.position) == pytest.approx(GENERATOR_POSE.position)
+@pytest.mark.parametrize(
+    ("http_request", "answer"),
+    [
+        (b"GET /netftapi2.xml HTTP/1.1\r\n", b""),
+        (b"GET /netftapi2.xml HTTP/1.1\r\n\r\n", b"HTTP/1.1 200 OK"),
+        (b"GET /netftapi2.xml?index=2 HTTP/1.0\r\nHost: x\r\n\r\n", b"HTTP/1.1 200 OK"),
+        (b"GET /netftapi2.xmls HTTP/1.1\r\n\r\n", b"HTTP/1.1 404"),
+        (b"nonsense\r\n\r\n", b"HTTP/1.1 400"),
+        (b"DELETE /netftapi2.xml HTTP/1.1\r\n\r\n", b"HTTP/1.1 405"),
+        (b"x" * 8192, b"HTTP/1.1 431"),
+    ],
+)
+def test_requests_for_the_simulated_box_page_get_the_expected_status(http_request, answer):
+    assert respond(http_request, lambda: b"<netft/>").startswith(answer)
+    assert bool(respond(http_request, lambda: b"<netft/>")) == bool(answer)
 
 
-def test_slow_clock_extends_the_timeouts_of_simulated_devices(paper):
-    with LabServer(paper, LabConfig(), 0, np.array([0.2, 1.2, -0.08])) as lab:
-        usual, patient = (
-            devices_at(lab.endpoints, LabConfig(), clock) for clock in (StationClock(), StationClock(0.5, 2.0))
-        )
-    assert (usual.stages["deadline"], usual.sensors["stale_after"]) == (0.15, 0.15)
-    assert (patient.stages["deadline"], patient.sensors["stale_after"]) == (2.0, 2.0)
+def test_latency_of_the_simulated_force_sensor_is_that_of_the_manual():
+    assert BoxSettings().latency == LATENCY_S == 288e-6
