@@ -4,7 +4,7 @@ Play of the drives and parameter errors are the same as in the module `plant`. E
 guide that keeps the tube straight behind the front plate.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -251,22 +251,9 @@ def _base_wrench(base: Array, wrench: Array, alpha: float, beta: float, weight: 
     wrench[3], wrench[4], wrench[5] = cos * mx + sin * my, cos * my - sin * mx, world[5]
 
 
-class TruePlant(Protocol):
-    """Interface of a plant: the simulated real robot at the stages' positions."""
-
-    robot: Robot  #: the robot with its true parameters
-
-    @property
-    def rotation(self) -> Array:
-        """Frame of the innermost tube at the tip (3, 3), world frame."""
-        ...
-
-    def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
-        """Move the joints to `positions` (n,) with `force` (3,) [N] at `contact` [m] until `now` [s]."""
-        ...
-
-
-def true_plant(robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array) -> TruePlant:
+def true_plant(
+    robot: Robot, config: PlantConfig, rng: np.random.Generator, positions: Array
+) -> Plant | FrictionalPlant:
     """Return the configured plant with its stages at `positions` (n,).
 
     Raises:

@@ -45,13 +45,6 @@ class InjectFaults(NamedTuple):
     start: float  #: time of the station's clock at the faults' time 0 [s]
 
 
-class LabConnection(NamedTuple):
-    """Message of the lab to the station process: the endpoints of its devices, or the reason why it has not started."""
-
-    endpoints: Mapping[str, Any]
-    problem: str
-
-
 class LabBench(NamedTuple):
     """Configuration of the lab's process."""
 
@@ -65,7 +58,10 @@ class LabBench(NamedTuple):
 
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
-    """Main function of the lab's process."""
+    """Main function of the lab's process.
+
+    It sends the endpoints of its devices to the station process, or the reason why it has not started.
+    """
     # The station process ends the lab. Ctrl-C in a terminal and a service manager's SIGTERM reach all processes of the
     # group, but the lab must outlive the other processes, which wait for the stages to stop.
     for ending in (signal.SIGINT, signal.SIGTERM):
@@ -80,12 +76,12 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
             bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals, clock=bench.clock
         )
     except CtrError as error:
-        pipe.send(LabConnection({}, str(error)))
+        pipe.send(str(error))
         return
     lab.lab.advance(bench.clock.now() - lab.start_time)  # loads and compiles code before clients wait for the lab
     be_punctual(bench.fifo)
     with lab:
-        pipe.send(LabConnection(lab.endpoints, ""))
+        pipe.send(lab.endpoints)
         lab.run(_LabClient(lab, ring, pipe, parent).poll)
     ring.close(remove=os.getppid() != parent)
 
@@ -148,12 +144,12 @@ class LabHost:
             LabError: the lab did not start.
         """
         try:
-            opened: LabConnection = self._child.pipe.recv()
+            endpoints: Mapping[str, Any] | str = self._child.pipe.recv()
         except (EOFError, OSError):
             raise LabError("the virtual lab ended before its devices were ready") from None
-        if opened.problem:
-            raise LabError(f"the virtual lab did not start: {opened.problem}")
-        return devices_at(opened.endpoints, self._config, self._clock)
+        if isinstance(endpoints, str):
+            raise LabError(f"the virtual lab did not start: {endpoints}")
+        return devices_at(endpoints, self._config, self._clock)
 
     def apply_load(self, load: Load, start: float) -> None:
         """Apply a load to the tip; the load's time 0 is `start` of the station's clock [s]. An ended lab ignores it."""

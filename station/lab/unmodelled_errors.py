@@ -69,10 +69,7 @@ class UnmodelledErrors:
 
     def mount(self, mount: TrackerMounting) -> TrackerMounting:
         """Return the true pose of the field generator for the configured pose `mount`."""
-        return TrackerMounting(
-            self._generator.rotation @ mount.rotation,
-            self._generator.rotation @ mount.position + self._generator.position,
-        )
+        return self._generator.after(mount)
 
     def tracker(self, config: TrackerConfig) -> TrackerConfig:
         """Return the tracker's configuration with the unknown latency."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -174,31 +174,7 @@ class IdealSensors(_Faultless):
         return self.reading
 
 
-class Lab(Protocol):
-    """The simulated world behind the devices."""
-
-    trouble: str  #: reason why the plant cannot follow its stages; empty if it follows
-
-    @property
-    def true_robot(self) -> Robot:
-        """The robot with its true parameters."""
-        ...
-
-    def true_joints(self, positions: Array) -> Array:
-        """Return the true joints (n,) when the stages count `positions` (n,) [rad or m]."""
-        ...
-
-    def apply_load(self, load: Load, start: float) -> None:
-        """Apply a load to the tip; its time counts from `start` [s]."""
-        ...
-
-    def inject(self, faults: Sequence[LabFault], start: float) -> None:
-        """Replace all active and planned faults; times count from `start` [s]."""
-        ...
-
-    def advance(self, now: float) -> GroundTruth:
-        """Advance the simulation until `now` [s]."""
-        ...
+Lab = IdealLab | SimulatedBench
 
 
 class VirtualBench(NamedTuple):

@@ -1,9 +1,11 @@
 """A simulated Net F/T box on a network in memory, and a host that sends and reads hexadecimal text."""
 
 import struct
+from typing import NamedTuple
 
 import numpy as np
 
+from station.devices.ati.protocol import RECORD
 from station.lab.config import BaseSensorConfig
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from station.lab.wires import MemoryDatagramEnd, MemoryDatagrams
@@ -37,3 +39,19 @@ class Bench:
             self.box.advance(self.now, wrench)
             datagrams += self.host.receive()
         return [fields for datagram in datagrams for fields in struct.iter_unpack(">IIIiiiiii", datagram)]
+
+
+class Record(NamedTuple):
+    """One record as received."""
+
+    rdt_sequence: int  #: number of the record, from 1 after each stream request
+    ft_sequence: int  #: the box's internal sample counter
+    status: int  #: status word
+    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
+
+
+def records(datagram: bytes) -> list[Record] | None:
+    """Return the records of a datagram; None if the datagram does not consist of whole records."""
+    if not datagram or len(datagram) % RECORD.size:
+        return None
+    return [Record(fields[0], fields[1], fields[2], fields[3:]) for fields in RECORD.iter_unpack(datagram)]

@@ -6,9 +6,8 @@ An invalid sample never replaces the last valid wrench of its sensor. `quality` 
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from enum import IntFlag
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, Protocol
 
 import httpx
 import numpy as np
@@ -128,15 +127,43 @@ class WrenchQuality(IntFlag):
         return not self & ~(WrenchQuality.LATCHED | WrenchQuality.GAP)
 
 
-@dataclass(frozen=True)
-class NetftSettings:
+#: Silence after which the driver requests the stream again [s].
+RETRY_AFTER_S = 0.5
+
+
+class ForceBoxFile(Strict):
+    """One ATI Net F/T box."""
+
+    host: Annotated[str, Field(min_length=1)]
+    """host name or IP address of the box"""
+    rdt_port: TcpPort = RDT_PORT
+    """UDP port of its datagrams"""
+    http_port: TcpPort = 80
+    """TCP port of its configuration page"""
+    serial: str | None = None
+    """serial number of the calibration that the box must report; default: any"""
+    mount: Mount = Mount()
+    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
+
+
+class NetftSettings(Strict):
     """Settings of the driver."""
 
-    stale_after: float = 0.05  #: time without a usable record after which a sensor counts as stale [s]
-    retry_after: float = 0.5  #: silence after which the driver requests the stream again [s]
-    latency: float = LATENCY_S  #: time from a measurement until the box sends its record on the Ethernet [s]
-    #: Ranges if the box's page has none: those of a Nano43 SI-18-0.25 [N, N m].
-    ranges: tuple[float, ...] = (18.0, 18.0, 18.0, 0.25, 0.25, 0.25)
+    stale_after: Positive = 0.05
+    """time without a usable record after which a sensor counts as stale [s]"""
+    latency: NotNegative = LATENCY_S
+    """time from a measurement until the box sends its record [s]"""
+    ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = (
+        18.0, 18.0, 18.0, 0.25, 0.25, 0.25,
+    )  # fmt: skip
+    """calibrated ranges of Fx Fy Fz Tx Ty Tz, used if the box's configuration page has none [N, N m]; default: those of
+    a Nano43 SI-18-0.25"""
+
+
+class NetftFile(NetftSettings):
+    """ATI Net F/T boxes, one for each tube."""
+
+    tubes: Mapping[Name, ForceBoxFile]
 
 
 class Datagrams(Protocol):
@@ -208,7 +235,8 @@ class _Sensor:
     def poll(self, now: float) -> bool:
         """Process the datagrams that have arrived and return whether there were any; never raises."""
         stream, good, settings, flags = self.stream, self.good, self._settings, 0
-        lost, resets, received, newest = stream.lost, stream.resets, False, 0
+        counters = stream.counters
+        lost, resets, received, newest = counters.lost, counters.resets, False, 0
         try:
             for datagram in self.link.receive():
                 numbers, clock = stream.state
@@ -223,17 +251,17 @@ class _Sensor:
                     received = True
             if received:
                 self._last_received, self._newest = now, newest
-            elif self._streaming and now - self._last_received >= settings.retry_after:
+            elif self._streaming and now - self._last_received >= RETRY_AFTER_S:
                 self._last_received = now
                 stream.restart()
                 self._request_stream()
         except LinkError:
             flags = _GONE
-        if stream.resets > resets:
+        if counters.resets > resets:
             self._latched_flags |= _RESET
             good.clear()
         flags |= self._newest | self._latched_flags
-        if stream.lost > lost:
+        if counters.lost > lost:
             flags |= _GAP
         if good.time == -math.inf or now - self._last_usable > settings.stale_after:
             flags |= _STALE
@@ -304,19 +332,9 @@ class NetftSensors:
         return not flags & ~(_LATCHED | _GAP)
 
     @property
-    def pages(self) -> tuple[NetftPage, ...]:
-        """Configuration page that each box sent when it was opened."""
-        return tuple(sensor.page for sensor in self._sensors)
-
-    @property
     def counters(self) -> tuple[Counters, ...]:
         """Counters of each stream since its start."""
         return tuple(sensor.stream.counters for sensor in self._sensors)
-
-    @property
-    def requests(self) -> tuple[int, ...]:
-        """Number of requests of each stream."""
-        return tuple(sensor.requests for sensor in self._sensors)
 
     def complaint(self) -> str:
         """Return the faults as human-readable text; "" if there is none."""
@@ -356,7 +374,7 @@ class NetftSensors:
                 "calibration": sensor.page.serial,
                 "quality": [str(flag.name).lower() for flag in WrenchQuality if flag in quality],
                 "requests": sensor.requests,
-                **sensor.stream.counters._asdict(),
+                **vars(sensor.stream.counters),
             }
             for sensor, quality in zip(self._sensors, self.quality, strict=True)
         }
@@ -370,16 +388,6 @@ class NetftSensors:
         self._reading, self._time, self._started = self._reading._replace(time=now), -math.inf, True
         for sensor in self._sensors:
             sensor.start(now)
-
-    def bias(self) -> None:
-        """Set the zero of each box to its present wrench; the next records still have the old zero."""
-        for sensor in self._sensors:
-            sensor.send(RdtCommand.BIAS)
-
-    def reset_latch(self) -> None:
-        """Clear the latched monitor conditions."""
-        for sensor in self._sensors:
-            sensor.send(RdtCommand.RESET_LATCH)
 
     def poll(self, now: float) -> WrenchReading:
         """Return the wrenches at the newest time for which every sensor that is not stale has a sample.
@@ -442,16 +450,7 @@ def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
     return read_page(page)
 
 
-class BoxAddress(NamedTuple):
-    """Network address of a box, and its expected calibration."""
-
-    host: str  #: name or address
-    rdt_port: int = RDT_PORT
-    http_port: int = 80
-    serial: str | None = None  #: expected serial number of the calibration; None: any
-
-
-def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) -> NetftSensors:
+def connect(boxes: Sequence[ForceBoxFile], settings: NetftSettings | None = None) -> NetftSensors:
     """Open the boxes of the tubes' sensors, in the order of the tubes; blocks, and does not start the streams.
 
     Raises:
@@ -476,37 +475,8 @@ def connect(boxes: Sequence[BoxAddress], settings: NetftSettings | None = None) 
     return NetftSensors(links, pages, settings)
 
 
-class ForceBoxFile(Strict):
-    """One ATI Net F/T box."""
-
-    host: Annotated[str, Field(min_length=1)]
-    """host name or IP address of the box"""
-    rdt_port: TcpPort = RDT_PORT
-    """UDP port of its datagrams"""
-    http_port: TcpPort = 80
-    """TCP port of its configuration page"""
-    serial: str | None = None
-    """serial number of the calibration that the box must report; default: any"""
-    mount: Mount = Mount()
-    """pose of the sensor's frame in the frame at its tube's proximal end (x along alpha = 0, z along the tube)"""
-
-
-class NetftFile(Strict):
-    """ATI Net F/T boxes, one for each tube."""
-
-    tubes: Mapping[Name, ForceBoxFile]
-    stale_after: Positive = NetftSettings.stale_after
-    """time without a usable record after which a sensor counts as stale [s]"""
-    latency: NotNegative = NetftSettings.latency
-    """time from a measurement until the box sends its record [s]"""
-    ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = NetftSettings.ranges  # pyright: ignore[reportAssignmentType] - six numbers
-    """calibrated ranges of Fx Fy Fz Tx Ty Tz, used if the box's configuration page has none [N, N m]"""
-
-
 def netft(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
     """Return the opener of ATI Net F/T boxes; raises ConfigError."""
     file = check(NetftFile, options, "devices.sensors")
     boxes = in_order(file.tubes, [tube.name for tube in robot.tubes], "devices.sensors.tubes")
-    settings = NetftSettings(stale_after=file.stale_after, latency=file.latency, ranges=file.ranges)
-    addresses = [BoxAddress(box.host, box.rdt_port, box.http_port, box.serial) for box in boxes]
-    return lambda: mounted(connect(addresses, settings), [box.mount for box in boxes])
+    return lambda: mounted(connect(boxes, file), [box.mount for box in boxes])

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -111,21 +111,6 @@ class NiCard:
 MAX_CLOCK_DRIFT = 2e-4
 
 
-class Card(Protocol):
-    """Interface of an analog card whose inputs are sampled at a fixed rate."""
-
-    name: str  #: for messages
-    rate: float  #: sampling rate of each input [1/s]
-
-    def read(self) -> Array:
-        """Return voltages (channels, k) since the last read [V], without waiting; raises LinkError."""
-        ...
-
-    def close(self) -> None:
-        """Release the card."""
-        ...
-
-
 class Wiring(NamedTuple):
     """Inputs of one sensor's gauges, and their calibration."""
 
@@ -174,7 +159,7 @@ class CardSensors:
 
     def __init__(
         self,
-        opens: Callable[[], Sequence[Card]],
+        opens: Callable[[], Sequence[NiCard]],
         wirings: Sequence[Wiring],
         stale_after: float = 0.05,
     ) -> None:
@@ -183,7 +168,7 @@ class CardSensors:
         self._use(opens())
         self._started = False
 
-    def _use(self, cards: Sequence[Card]) -> None:
+    def _use(self, cards: Sequence[NiCard]) -> None:
         self._cards = tuple(cards)
         self._clocks = [CardClock(card.rate) for card in self._cards]
         self._lost = ["" for _ in self._cards]

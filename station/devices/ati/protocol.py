@@ -6,6 +6,7 @@ Sources: Net F/T manual 9620-05 for layouts and rates; public clients for the st
 """
 
 import struct
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -135,15 +136,6 @@ class RdtCommand(IntEnum):
     BIAS = 0x0042
 
 
-class Record(NamedTuple):
-    """One record as received."""
-
-    rdt_sequence: int  #: number of the record, from 1 after each stream request
-    ft_sequence: int  #: the box's internal sample counter
-    status: int  #: status word
-    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
-
-
 class RdtSample(NamedTuple):
     """A record that is consistent with the stream."""
 
@@ -152,7 +144,8 @@ class RdtSample(NamedTuple):
     counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
 
 
-class Counters(NamedTuple):
+@dataclass
+class Counters:
     """Counters of a stream since its creation."""
 
     accepted: int = 0  #: records accepted
@@ -168,13 +161,6 @@ class Counters(NamedTuple):
 def request(command: RdtCommand, samples: int = 0) -> bytes:
     """Return the 8 bytes of a command; `samples` is the number of records (0: until stopped)."""
     return REQUEST.pack(HEADER, command, samples)
-
-
-def records(datagram: bytes) -> list[Record] | None:
-    """Return the records of a datagram; None if the datagram does not consist of whole records."""
-    if not datagram or len(datagram) % RECORD.size:
-        return None
-    return [Record(fields[0], fields[1], fields[2], fields[3:]) for fields in RECORD.iter_unpack(datagram)]
 
 
 def is_usable(status: int) -> bool:
@@ -241,23 +227,13 @@ class Stream:
         self._state = np.zeros(7, dtype=np.int64)
         self._out_of_order: tuple[int, ...] | None = None  # the last record outside the sequence
         self._candidate = 0.0
-        self.lost = 0  #: records missing in the sequence so far
-        self.resets = 0  #: restarts of the box's sample counter
-        self._duplicates = self._late = self._malformed = self._implausible = self._resyncs = 0
+        self._counters = Counters()
 
     @property
     def counters(self) -> Counters:
         """Counters so far."""
-        return Counters(
-            int(self._state[ACCEPTED]),
-            self.lost,
-            self._duplicates,
-            self._late,
-            self._malformed,
-            self._implausible,
-            self._resyncs,
-            self.resets,
-        )
+        self._counters.accepted = int(self._state[ACCEPTED])
+        return self._counters
 
     def restart(self) -> None:
         """Prepare for a new stream request, after which the records are numbered from 1 again."""
@@ -272,7 +248,7 @@ class Stream:
     def feed(self, datagram: bytes, now: float) -> list[RdtSample]:
         """Process a datagram that has arrived by `now` [s]; return its consistent samples."""
         if not datagram or len(datagram) % RECORD.size:
-            self._malformed += 1
+            self._counters.malformed += 1
             return []
         samples: list[RdtSample] = []
         for fields in RECORD.iter_unpack(datagram):
@@ -289,15 +265,15 @@ class Stream:
             if steps and (samples == step * steps if step else steps <= samples <= MAX_STEP_SAMPLES * steps):
                 count = last + samples
                 if count <= self._clock.latest(now) + MAX_AHEAD_SAMPLES:
-                    self.lost += steps - 1
+                    self._counters.lost += steps - 1
                     return self._accept(fields, count, now)
             if steps == 0:
-                self._duplicates += 1
+                self._counters.duplicates += 1
                 return None
             if steps > SEQUENCE_WRAP // 2:
-                self._late += 1
+                self._counters.late += 1
             else:
-                self._implausible += 1
+                self._counters.implausible += 1
         return self._consider(fields, now)
 
     def _accept(self, fields: tuple[int, ...], count: int, now: float) -> RdtSample:
@@ -316,7 +292,7 @@ class Stream:
         self._candidate = ratio if consistent == 2 or ratio == self._candidate else 0.0
         if consistent < (RECORDS_TO_START if not started and self._candidate else RECORDS_TO_REPLACE):
             return None
-        self._resyncs += started
+        self._counters.resyncs += started
         self._state[STEP] = int(self._candidate) if self._candidate == int(self._candidate) else 0
         count = fields[1]
         if self._clock.is_set:
@@ -325,7 +301,7 @@ class Stream:
             if abs(off) / SAMPLE_RATE_HZ <= RESET_AFTER_S + self._clock.doubt(now):
                 count = expected + off
             else:
-                self.resets += 1
+                self._counters.resets += 1
                 self._clock = SampleClock(self._latency)
         return self._accept(fields, count, now)
 

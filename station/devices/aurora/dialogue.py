@@ -22,6 +22,14 @@ from station.devices.aurora.protocol import (
     parse_phsr,
 )
 
+# Times and limits of the communication.
+REPLY_TIMEOUT_S = 0.5  #: longest wait for the reply to most commands
+TOOL_TIMEOUT_S = 5.0  #: longest wait for the reply to PINIT, PENA and TSTART, which access the tool
+RESET_WAIT_S = 3.0  #: longest wait for the text RESET after a break (unconfirmed)
+SWITCH_WAIT_S = 0.1  #: wait after the reply to COMM until the new baud rate is used
+QUIET_S = 0.1  #: wait after a failed reply, so that a late reply is not taken for the next command's reply
+RETRY_WAIT_S = 1.0  #: wait from a failure to the next attempt
+
 
 @dataclass(frozen=True)
 class AuroraSettings:
@@ -33,17 +41,7 @@ class AuroraSettings:
     frame_rate: float = 40.0  #: frames that the unit measures per second [1/s]
     latency: float = 0.024  #: shortest time from measurement to arrival of the BX reply, 115200 baud (unconfirmed)
     always_tx: bool = False  #: request frames by TX (text) only, never by BX (binary)
-    reply_timeout: float = 0.5  #: longest wait for the reply to most commands
-    tool_timeout: float = 5.0  #: longest wait for the reply to PINIT, PENA and TSTART, which access the tool
     frame_timeout: float = 0.1  #: longest wait for the reply to BX and TX, plus the transmission time of the reply
-    misses: int = 5  #: number of failed frame requests in a row after which the session restarts
-    reset_wait: float = 3.0  #: longest wait for the text RESET after a break (unconfirmed)
-    switch_wait: float = 0.1  #: wait after the reply to COMM until the new baud rate is used
-    quiet: float = 0.1  #: wait after a failed reply, so that a late reply is not taken for the next command's reply
-    retry_wait: float = 1.0  #: wait from a failure to the next attempt
-    fastest: float = 500.0  #: largest speed of a coil; a faster motion counts as a jump [mm/s]
-    jitter: float = 2.0  #: distance that a position may change in addition to the motion at `fastest` [mm]
-    confirm_jump: int = 10  #: number of consistent frames after which a position beyond a jump is accepted
     measures_axis: bool = True  #: whether the tip's direction is measured by the coil's axis; False: axis is ignored
     coil_to_tip: float = 0.0  #: distance from the coil to the robot's tip along the coil's axis [mm]
     #: Port status bits that invalidate a measurement, besides the out-of-volume bits (bits from 8 on are unconfirmed).
@@ -89,7 +87,8 @@ class AuroraRequest(NamedTuple):
 
 
 Reply = str | FrameReply | None
-Script = Generator[RateChange | SerialBreak | Pause | AuroraRequest, Reply, Reply]
+Step = RateChange | SerialBreak | Pause | AuroraRequest
+Script = Generator[Step, Reply, Reply]
 
 
 def is_okay(text: str) -> bool:
@@ -118,7 +117,7 @@ class Dialogue:
             reply = yield AuroraRequest(command, answers, timeout)
             failed = not isinstance(reply, str) or error_code(reply) in RETRY_ERRORS
             if failed or attempt:
-                yield Pause(self.now + self.settings.quiet)
+                yield Pause(self.now + QUIET_S)
             if not failed:
                 return reply
         if isinstance(reply, str):
@@ -150,10 +149,10 @@ def find_unit(dialogue: Dialogue) -> Script:
         for baud in dict.fromkeys((POWER_UP_BAUD, settings.baud)):
             yield RateChange(baud)
             try:
-                reply = yield from dialogue.query("INIT:", is_okay, settings.reply_timeout, 2)
+                reply = yield from dialogue.query("INIT:", is_okay, REPLY_TIMEOUT_S, 2)
                 if error_code(str(reply)) == NOT_IN_THIS_MODE:
-                    yield from dialogue.command("TSTOP:", settings.reply_timeout)
-                    yield from dialogue.command("INIT:", settings.reply_timeout)
+                    yield from dialogue.command("TSTOP:", REPLY_TIMEOUT_S)
+                    yield from dialogue.command("INIT:", REPLY_TIMEOUT_S)
                 elif error_code(str(reply)) is not None:
                     continue
             except AuroraError as error:
@@ -166,24 +165,24 @@ def find_unit(dialogue: Dialogue) -> Script:
         yield SerialBreak(True)
         yield Pause(dialogue.now + BREAK_S)
         yield SerialBreak(False)
-        yield AuroraRequest("", lambda text: text == "RESET", settings.reset_wait)
+        yield AuroraRequest("", lambda text: text == "RESET", RESET_WAIT_S)
 
 
 def _change_rate(dialogue: Dialogue) -> Script:
     command = f"COMM:{BAUD_CODES[dialogue.settings.baud]}0000"
     # Sent only once: without a reply the unit's baud rate is unknown, and `find_unit` tries both rates again.
-    reply = yield AuroraRequest(command, is_okay, dialogue.settings.reply_timeout)
+    reply = yield AuroraRequest(command, is_okay, REPLY_TIMEOUT_S)
     code = error_code(str(reply))
     if reply is None or code is not None:
         raise AuroraError(f"{command}: {'no answer' if code is None else error_words(code)}")
-    yield Pause(dialogue.now + dialogue.settings.switch_wait)
+    yield Pause(dialogue.now + SWITCH_WAIT_S)
     yield RateChange(dialogue.settings.baud)
     return reply
 
 
 def identify(dialogue: Dialogue) -> Script:
     """Read the firmware version, which selects BX or TX."""
-    version = yield from dialogue.query("VER:0", lambda text: not is_okay(text), dialogue.settings.reply_timeout)
+    version = yield from dialogue.query("VER:0", lambda text: not is_okay(text), REPLY_TIMEOUT_S)
     tag = re.search(r"^Freeze Tag:\s*(.*?)\s*$", str(version), re.MULTILINE)
     dialogue.firmware = tag[1] if tag else ""
     dialogue.tx = dialogue.settings.always_tx or dialogue.firmware in TX_ONLY_FIRMWARE
@@ -196,45 +195,35 @@ def prepare_tools(dialogue: Dialogue) -> Script:
     while True:
         refused = ""
         for handle in (yield from _handles(dialogue, "01")):
-            yield from dialogue.query(f"PHF:{handle:02X}", is_okay, settings.reply_timeout)
+            yield from dialogue.query(f"PHF:{handle:02X}", is_okay, REPLY_TIMEOUT_S)
         for command in ("PINIT:{:02X}", "PENA:{:02X}D"):
             for handle in (yield from _handles(dialogue, "02" if command.startswith("PINIT") else "03")):
-                reply = yield from dialogue.query(command.format(handle), is_okay, settings.tool_timeout)
+                reply = yield from dialogue.query(command.format(handle), is_okay, TOOL_TIMEOUT_S)
                 code = error_code(str(reply))
                 if code is not None:
                     refused = f"{command.format(handle)}: {error_words(code)}"
         dialogue.tools = {}
         for handle in (yield from _handles(dialogue, "04")):
-            reply = yield from dialogue.query(f"PHINF:{handle:02X}0001", _is_phinf, settings.reply_timeout)
+            reply = yield from dialogue.query(f"PHINF:{handle:02X}0001", _is_phinf, REPLY_TIMEOUT_S)
             identity = None if error_code(str(reply)) is not None else parse_phinf(str(reply))
             if identity is not None:
                 dialogue.tools[handle] = identity
-        dialogue.target = next(
-            (
-                h
-                for h, tool in dialogue.tools.items()
-                if settings.target_serial and tool.serial == settings.target_serial
-            ),
-            None,
-        )
-        candidates = [
-            h
-            for h, tool in dialogue.tools.items()
-            if settings.tool_serial in ("", tool.serial) and h != dialogue.target
-        ]
+        serials = {handle: tool.serial for handle, tool in dialogue.tools.items()}
+        targets = [handle for handle, serial in serials.items() if serial == settings.target_serial != ""]
+        dialogue.target = targets[0] if targets else None
+        candidates = [handle for handle, serial in serials.items() if settings.tool_serial in ("", serial)]
+        candidates = [handle for handle in candidates if handle != dialogue.target]
         if candidates:
             dialogue.handle = min(candidates)
             return None
-        present = ", ".join(tool.serial for tool in dialogue.tools.values()) or "none"
+        present = ", ".join(serials.values()) or "none"
         missing = f"tool {settings.tool_serial}" if settings.tool_serial else "a tool"
         dialogue.trouble = refused or f"{missing} is not plugged in; connected tools: {present}"
-        yield Pause(dialogue.now + settings.retry_wait)
+        yield Pause(dialogue.now + RETRY_WAIT_S)
 
 
-def _handles(
-    dialogue: Dialogue, which: str
-) -> Generator[RateChange | SerialBreak | Pause | AuroraRequest, Reply, list[int]]:
-    reply = yield from dialogue.query(f"PHSR:{which}", _is_phsr, dialogue.settings.reply_timeout)
+def _handles(dialogue: Dialogue, which: str) -> Generator[Step, Reply, list[int]]:
+    reply = yield from dialogue.query(f"PHSR:{which}", _is_phsr, REPLY_TIMEOUT_S)
     code = error_code(str(reply))
     if code is not None:
         raise AuroraError(f"PHSR:{which}: {error_words(code)}")

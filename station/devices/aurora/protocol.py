@@ -230,6 +230,10 @@ class FrameReply(NamedTuple):
     tools: tuple[ToolFrame, ...]
     system_status: int
 
+    def tool(self, handle: int | None) -> ToolFrame | None:
+        """Return the frame of the tool with this handle; None if the reply does not contain it."""
+        return next((tool for tool in self.tools if tool.handle == handle), None)
+
 
 def _transform(values: tuple[float, ...], handle: int) -> Transform:
     """Return the transform; raise for numbers outside the tracker's range, as one error in 65536 passes the CRC."""

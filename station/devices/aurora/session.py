@@ -11,7 +11,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from station.devices.aurora.dialogue import (
+    REPLY_TIMEOUT_S,
     RETRY_ERRORS,
+    RETRY_WAIT_S,
+    TOOL_TIMEOUT_S,
     AuroraRequest,
     AuroraSettings,
     Dialogue,
@@ -88,6 +91,13 @@ class FrameCounts:
     connects: int = 0  #: how many times tracking has started
 
 
+#: Largest drift between the clocks of tracker and computer [s/s], tolerance of a frame's time [frames], and number of
+#: consistent frames after which a count that does not fit the clock is accepted: the unit has restarted it.
+MAX_CLOCK_DRIFT, TOLERANCE_FRAMES, FRAMES_TO_RESTART = 5e-4, 1.5, 5
+#: Largest speed of a coil [mm/s] and distance of its jitter [mm]; a position further away counts as a jump, until this
+#: number of consistent frames confirms it.
+MAX_COIL_SPEED, JITTER_MM, FRAMES_TO_ACCEPT_JUMP = 500.0, 2.0, 10
+MAX_MISSES = 5  #: number of failed frame requests in a row after which the session restarts
 #: Longest time for which a coil may have moved since its last good position, in the test for jumps: two frames [s].
 MAX_MOTION_TIME_S = 0.05
 
@@ -99,9 +109,9 @@ class FrameClock:
     since frame 0 is the best estimate. This estimate may rise slowly, because the two clocks drift apart.
     """
 
-    def __init__(self, rate: float, drift: float = 5e-4, tolerance: float = 1.5, confirm: int = 5) -> None:
-        """Set frame rate [1/s], clock drift [s/s], tolerance [frames], and consistent outliers until a restart."""
-        self._rate, self._drift, self._tolerance, self._confirm = rate, drift, tolerance / rate, confirm
+    def __init__(self, rate: float) -> None:
+        """`rate` is the number of frames per second."""
+        self._rate, self._tolerance = rate, TOLERANCE_FRAMES / rate
         self.restart()
 
     def restart(self) -> None:
@@ -114,7 +124,7 @@ class FrameClock:
         offset = arrival - frame / self._rate
         if math.isnan(self._offset):
             return self._anchor(frame, arrival)
-        envelope = self._offset + self._drift * (arrival - self._arrival)
+        envelope = self._offset + MAX_CLOCK_DRIFT * (arrival - self._arrival)
         if frame <= self._frame or not -self._tolerance <= offset - envelope <= 1.0:
             return self._doubt(frame, arrival)
         self._doubts = 0
@@ -136,14 +146,13 @@ class FrameClock:
         agrees = frames > 0 and abs(time - frames / self._rate) <= self._tolerance
         self._doubts = self._doubts + 1 if self._doubts and agrees else 1
         self._doubted = (frame, arrival)
-        return self._anchor(frame, arrival) if self._doubts >= self._confirm else None
+        return self._anchor(frame, arrival) if self._doubts >= FRAMES_TO_RESTART else None
 
 
 class JumpGate:
     """Rejects positions that a coil cannot have reached since its last good position."""
 
-    def __init__(self, fastest: float, jitter: float, confirm: int) -> None:
-        self._fastest, self._jitter, self._confirm = fastest, jitter, confirm
+    def __init__(self) -> None:
         self._last: tuple[float, tuple[float, ...]] | None = None
         self._suspect: tuple[float, tuple[float, ...]] | None = None
         self._agreeing = 0
@@ -154,7 +163,7 @@ class JumpGate:
         if not self._near(self._last, here):
             self._agreeing = self._agreeing + 1 if self._suspect and self._near(self._suspect, here) else 1
             self._suspect = here
-            if self._agreeing < self._confirm:
+            if self._agreeing < FRAMES_TO_ACCEPT_JUMP:
                 return False
         self._last, self._suspect = here, None
         return True
@@ -163,7 +172,7 @@ class JumpGate:
         if before is None:
             return True
         # The limited time prevents that a distant position is accepted at once after a long gap.
-        reach = self._jitter + self._fastest * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
+        reach = JITTER_MM + MAX_COIL_SPEED * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
         return math.dist(before[1], here[1]) <= reach
 
 
@@ -184,8 +193,8 @@ class AuroraSession:
         self.reader = ReplyReader()
         self.last_arrival = -math.inf  #: time when the last new frame arrived [s]
         self._clock = FrameClock(settings.frame_rate)
-        self._gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
-        self._target_gate = JumpGate(settings.fastest, settings.jitter, settings.confirm_jump)
+        self._gate = JumpGate()
+        self._target_gate = JumpGate()
         self.target_quality = FrameQuality.CONNECTING  #: quality of the target coil's newest frame
         self._newest: int | None = None  # frame number
         self._orders: list[bytes | RateChange | SerialBreak] = []
@@ -248,7 +257,7 @@ class AuroraSession:
             self.counts.stray += 1
             return []
         self.system_status = reply.system_status
-        tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.handle), None)
+        tool = reply.tool(self.dialogue.handle)
         measurements: list[TrackerFrame] = []
         if tool is None or tool.frame is None:
             self.quality = FrameQuality.DISABLED
@@ -283,7 +292,7 @@ class AuroraSession:
 
     def _target(self, reply: FrameReply, time: float) -> tuple[float, ...] | None:
         """Return the position of the target's coil in the frame measured at `time` [s]; None if it is not valid."""
-        tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.target), None)
+        tool = reply.tool(self.dialogue.target)
         self.target_quality = FrameQuality.DISABLED if tool is None else self._judge(tool, time, self._target_gate)
         if tool is None or tool.transform is None or self.target_quality is not FrameQuality.GOOD:
             return None
@@ -302,9 +311,6 @@ class AuroraSession:
             self.counts.jumps += 1
             return FrameQuality.JUMP
         return FrameQuality.GOOD
-
-    def _unplugged_target(self, reply: FrameReply) -> bool:
-        return not any(tool.handle == self.dialogue.target and tool.frame is not None for tool in reply.tools)
 
     # -- the engine of the script ---------------------------------------------------------------
 
@@ -339,7 +345,7 @@ class AuroraSession:
         self.dialogue.trouble = trouble
         self._script.close()
         self._script = self._whole()
-        self._step = Pause(self.dialogue.now + self.dialogue.settings.retry_wait)
+        self._step = Pause(self.dialogue.now + RETRY_WAIT_S)
         self._orders.clear()
 
     # -- the script -----------------------------------------------------------------------------
@@ -351,15 +357,15 @@ class AuroraSession:
         while True:
             yield from prepare_tools(self.dialogue)
             yield from self._track()
-            yield from self.dialogue.query("TSTOP:", is_okay, self.dialogue.settings.reply_timeout)
+            yield from self.dialogue.query("TSTOP:", is_okay, REPLY_TIMEOUT_S)
 
     def _track(self) -> Script:
         """Request frames; return when a tool has to be set up again."""
         settings = self.dialogue.settings
-        reply = yield from self.dialogue.query("TSTART:", is_okay, settings.tool_timeout)
+        reply = yield from self.dialogue.query("TSTART:", is_okay, TOOL_TIMEOUT_S)
         if error_code(str(reply)) == NOT_IN_THIS_MODE:  # the unit tracks already
-            yield from self.dialogue.command("TSTOP:", settings.reply_timeout)
-            yield from self.dialogue.command("TSTART:", settings.tool_timeout)
+            yield from self.dialogue.command("TSTOP:", REPLY_TIMEOUT_S)
+            yield from self.dialogue.command("TSTART:", TOOL_TIMEOUT_S)
         elif (code := error_code(str(reply))) is not None:
             raise AuroraError(f"TSTART: {error_words(code)}")
         self._clock.restart()
@@ -375,16 +381,15 @@ class AuroraSession:
             if isinstance(reply, FrameReply):
                 misses = 0
                 self.dialogue.trouble = system_words(reply.system_status)
-                tool = next((tool for tool in reply.tools if tool.handle == self.dialogue.handle), None)
+                tool = reply.tool(self.dialogue.handle)
                 gone = gone + 1 if tool is None or tool.frame is None else 0
-                if gone and (gone >= settings.misses or reply.system_status & PORT_OCCUPIED):
-                    self.tracking, self.quality, self.dialogue.trouble = (
-                        False,
-                        FrameQuality.DISABLED,
-                        "the tool is unplugged",
-                    )
+                if gone and (gone >= MAX_MISSES or reply.system_status & PORT_OCCUPIED):
+                    self.tracking, self.dialogue.trouble = False, "the tool is unplugged"
+                    self.quality = FrameQuality.DISABLED
                     return None
-                if reply.system_status & PORT_OCCUPIED and settings.target_serial and self._unplugged_target(reply):
+                target = reply.tool(self.dialogue.target)
+                unplugged = target is None or target.frame is None
+                if reply.system_status & PORT_OCCUPIED and settings.target_serial and unplugged:
                     self.tracking, self.dialogue.trouble = False, "the target is plugged in and not set up yet"
                     return None
                 # Each request is sent slightly earlier, until a frame is requested before it is measured. So the
@@ -401,7 +406,7 @@ class AuroraSession:
                 self.dialogue.tx = True
             elif code is None or code in RETRY_ERRORS:
                 misses += 1
-                if misses >= settings.misses:
+                if misses >= MAX_MISSES:
                     raise AuroraError(f"no frame in {misses} replies in a row")
             else:
                 raise AuroraError(f"frames refused: {error_words(code)}")

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
+from core.calibration.rigid_transform import RigidTransform
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
@@ -25,16 +26,8 @@ SILENCE_TIMEOUT_S = 0.1
 BLIND_TIMEOUT_S = 0.25
 
 
-@dataclass(frozen=True)
-class TrackerMounting:
-    """Pose of the field generator in the world: p_world = rotation @ p_tracker + position."""
-
-    rotation: Array = field(default_factory=lambda: np.eye(3))  #: (3, 3)
-    position: Array = field(default_factory=lambda: np.zeros(3))  #: (3,) [m]
-
-    def world(self, millimetres: tuple[float, ...]) -> Array:
-        """Convert a tracker position [mm] to the world frame (3,) [m]."""
-        return self.rotation @ (1e-3 * np.array(millimetres)) + self.position
+#: Pose of the field generator in the world: p_world = rotation @ p_tracker + position.
+TrackerMounting = RigidTransform
 
 
 class TrackerReport(NamedTuple):
@@ -61,7 +54,7 @@ class AuroraTracker:
     ) -> None:
         self._link = link
         self._settings = settings or AuroraSettings()
-        self._registration = registration or TrackerMounting()
+        self._registration = registration or TrackerMounting(np.eye(3), np.zeros(3))
         self._session = AuroraSession(self._settings)
         self._lost = ""
         self._good_time = self._target_time = -math.inf
@@ -140,10 +133,14 @@ class AuroraTracker:
         self._good_time = newest.time
         target = None
         if newest.target is not None:
-            target, self._target_time = self._registration.world(newest.target), newest.time
+            target, self._target_time = self._world(newest.target), newest.time
         axis = newest.axis if self._settings.measures_axis else None
         direction = None if axis is None else self._registration.rotation @ np.array(axis)
-        return TipReading(newest.frame, newest.time, self._registration.world(newest.position), target, direction)
+        return TipReading(newest.frame, newest.time, self._world(newest.position), target, direction)
+
+    def _world(self, millimetres: tuple[float, ...]) -> Array:
+        """Convert a tracker position [mm] to the world frame (3,) [m]."""
+        return self._registration.rotation @ (1e-3 * np.array(millimetres)) + self._registration.position
 
     def report(self, now: float) -> TrackerReport:
         """Return the state of the tracker at `now` [s]."""

@@ -35,6 +35,16 @@ from station.devices.zaber.protocol import (
     safe_speed,
 )
 
+# Times of units and adapter; the manufacturer does not specify them.
+LEAD_S = 0.002  #: a message is passed to the port this long before the line is free [s]
+MAX_MISSES = 2  #: missing replies in a row after which a unit counts as lost
+#: A reply is dropped if its bytes have a longer gap between them [s]. The manufacturer recommends 10 ms, but a USB
+#: adapter may delay bytes by 16 ms.
+REPLY_GAP_S = 0.025
+REFRESH_S = 0.25  #: an unchanged velocity is repeated after this time, in case it was not received [s]
+STOP_ATTEMPTS = 3  #: number of stop commands that a homing unit may ignore before the host resets the unit
+RESTART_S = 1.0  #: time after a reset in which a unit does not answer [s]
+REPEAT_STOP_S = 0.25  #: interval of stop commands to lost units, in case they receive again [s]
 STATUSES = frozenset(int(status) for status in ZaberStatus)
 #: Commands of messages that a unit may send without a request, or later than expected.
 UNSOLICITED = frozenset(
@@ -60,20 +70,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class LineSettings:
-    """Timing of the serial line. Configurable, because the manufacturer specifies no times of units and adapter."""
+    """Timing of the serial line that depends on the adapter and on the computer."""
 
-    lead: float = 0.002  #: a message is passed to the port this long before the line is free [s]
-    processing: float = 0.0  #: time from the last byte of a command to the command's effect [s]
     deadline: float = 0.050  #: longest time from the start of a request to its reply [s]
-    misses: int = 2  #: missing replies in a row after which a unit counts as lost
-    #: A reply is dropped if its bytes have a longer gap between them [s]. The manufacturer recommends 10 ms, but
-    #: a USB adapter may delay bytes by 16 ms.
-    silence: float = 0.025
     pause: float = 0.0  #: pause after each forward speed [s]; 0.0125 or more prevents misreading (`safe_speed`)
-    refresh: float = 0.25  #: an unchanged velocity is repeated after this time, in case it was not received [s]
-    stop_tries: int = 3  #: number of stop commands that a homing unit may ignore before the host resets the unit
-    restart: float = 1.0  #: time after a reset in which a unit does not answer [s]
-    repeat_stop: float = 0.25  #: interval of stop commands to lost units, in case they receive again [s]
 
 
 @dataclass
@@ -101,9 +101,8 @@ class ZaberChain:
     """The Zaber units on one serial line: sends their messages and processes their replies."""
 
     def __init__(self, axes: Sequence[Axis], line: LineSettings | None = None) -> None:
-        line = line or LineSettings()
-        self.axes, self.line = tuple(axes), line
-        self.parser = ZaberParser(self._plausible, line.silence)
+        self.axes, self.line = tuple(axes), line or LineSettings()
+        self.parser = ZaberParser(self._plausible, REPLY_GAP_S)
         count = range(len(self.axes))
         self.estimates = [
             AxisEstimate(axis.top * SPEED_UNIT, axis.acceleration * ACCELERATION_UNIT, axis.maximum)
@@ -189,7 +188,7 @@ class ZaberChain:
 
     def is_free(self, now: float) -> bool:
         """Return whether the line can transmit a message at `now` [s]."""
-        return now >= self._free - self.line.lead - 1e-9 and now >= self._quiet
+        return now >= self._free - LEAD_S - 1e-9 and now >= self._quiet
 
     def due(self, now: float) -> bytes:
         """Return the bytes to send at `now` [s]: at most one message, and none while the line is busy."""
@@ -202,7 +201,7 @@ class ZaberChain:
         if self._free < now:
             self._free = now
         self._free += MESSAGE_TIME_S
-        effect = self._free + self.line.processing
+        effect = self._free
         if command in (ZaberCommand.STOP, ZaberCommand.RESET, ZaberCommand.MOVE_SPEED):
             speed = data if command == ZaberCommand.MOVE_SPEED else 0
             if speed > 0 and self.line.pause > 0.0:
@@ -214,7 +213,7 @@ class ZaberChain:
         return encode(chosen)
 
     def _next(self, now: float) -> ZaberMessage | None:
-        if self.lost and not self._urgent and now - self._stop_repeated > self.line.repeat_stop:
+        if self.lost and not self._urgent and now - self._stop_repeated > REPEAT_STOP_S:
             self._stop_repeated = now
             self._urgent.extend((i, int(ZaberCommand.STOP)) for i in sorted(self.lost))
         if self._urgent:
@@ -248,7 +247,7 @@ class ZaberChain:
         for i in range(len(self.axes)) if axis < 0 else (axis,):
             self._sent_at[i] = math.inf
             if command == ZaberCommand.RESET:
-                self._away[i] = now + self.line.restart
+                self._away[i] = now + RESTART_S
         return ZaberMessage(0 if axis < 0 else self.axes[axis].device, command, NO_DATA)
 
     def _next_velocity(self, now: float) -> ZaberMessage | None:
@@ -256,7 +255,7 @@ class ZaberChain:
         for k in range(count):
             i = (self._turn + k) % count
             desired = self._desired[i]
-            if desired != self.sent[i] or now - self._sent_at[i] > self.line.refresh:
+            if desired != self.sent[i] or now - self._sent_at[i] > REFRESH_S:
                 self._turn = i + 1
                 self._sent_at[i] = now
                 self.stopping.pop(i, None)
@@ -284,7 +283,7 @@ class ZaberChain:
             if (device, ZaberCommand.POSITION) in self._pending or (device, ZaberCommand.STATUS) in self._pending:
                 continue
             self._poll_turn = i if self.estimates[i].doubtful else i + 1
-            read = max(self._free, now) + MESSAGE_TIME_S + self.line.processing
+            read = max(self._free, now) + MESSAGE_TIME_S
             deadline = now + self.line.deadline
             self._pending[device, command] = _ExpectedReply(deadline, i, True, read + MESSAGE_TIME_S, self._free < now)
             self.counts[i].polls += 1
@@ -351,7 +350,7 @@ class ZaberChain:
             self.stopping.pop(axis, None)
         elif axis in self.stopping and status != ZaberStatus.STOPPING:
             self.stopping[axis] += 1
-            if status == ZaberStatus.HOMING and self.stopping[axis] >= self.line.stop_tries:
+            if status == ZaberStatus.HOMING and self.stopping[axis] >= STOP_ATTEMPTS:
                 self.stopping[axis] = 0
                 self._urgent.append((axis, ZaberCommand.RESET))
                 events.append(ResetDone(axis))
@@ -368,7 +367,7 @@ class ZaberChain:
             return
         self._poll_turn = axis
         self._misses[axis] += 1
-        if self._misses[axis] >= self.line.misses and axis not in self.lost:
+        if self._misses[axis] >= MAX_MISSES and axis not in self.lost:
             self.lost.add(axis)
             self.stopping.pop(axis, None)
             events.append(ReplyLost(axis))

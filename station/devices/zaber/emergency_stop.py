@@ -13,7 +13,7 @@ from typing import Any
 from station.config.robots import RobotFile
 from station.devices.interfaces import Clock, EmergencyStop, NotStopped
 from station.devices.links.link import LinkError, SerialLink, lock_file
-from station.devices.zaber.chain import LineSettings
+from station.devices.zaber.chain import RESTART_S, STATUSES, STOP_ATTEMPTS
 from station.devices.zaber.protocol import (
     BAUD,
     MESSAGE_TIME_S,
@@ -33,15 +33,12 @@ STOP_BYTES, STATUS_REQUEST_BYTES = (
 )
 #: Time limit for the stop of one port; the same time is available again after the reset of a unit [s].
 PORT_TIMEOUT_S = 2.0
-#: Number of stops that a homing unit may ignore before its reset; time after a reset in which a unit is silent [s].
-STOP_ATTEMPTS, RESTART_S = LineSettings.stop_tries, LineSettings.restart
 #: Time from the first stop to the next, with a pause that resynchronises units that lost the message boundaries [s].
 REPEAT_INTERVAL_S = MESSAGE_TIME_S + 1.5 * RESYNC_GAP_S
 REPLY_TIMEOUT_S = 0.12  #: interval at which stop and status query are then repeated [s]
 #: A port is opened again after this silence of its units, because another process may still have used the port [s].
 SILENCE_TIMEOUT_S = 0.2
 REST_STATUSES = (ZaberStatus.IDLE, ZaberStatus.STOPPING)
-STATUSES = frozenset(int(status) for status in ZaberStatus)
 
 
 #: Device numbers of the units on each port, by port name.

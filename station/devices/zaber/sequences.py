@@ -126,7 +126,7 @@ class Homing:
 MAX_ATTEMPTS = 6  #: largest number of times that a query is sent until two replies agree
 STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a reset of the unit takes 1 s of this time [s]
 
-Script = Generator[Request | float, Reply, None]  #: yields requests, or waiting times [s]
+Script = Generator[Request | float, Any, None]  #: yields requests, or waiting times [s]; receives replies
 
 
 class Sequences:
@@ -273,12 +273,12 @@ class Sequences:
             if units.homed[i] and not 0 <= count <= setup.maximum:
                 units.homed[i] = False  # another program has homed the unit and set another count
 
-    def _read_twice(self, i: int, command: int, data: int = 0) -> Generator[Request | float, Reply, int | None]:
+    def _read_twice(self, i: int, command: int, data: int = 0) -> Generator[Request | float, Any, int | None]:
         """Return a value that the unit has sent twice; None if the unit does not answer or does not have the value."""
         reply = data if command == ZaberCommand.SETTING else command
         received: set[Reply] = set()
         for _ in range(MAX_ATTEMPTS):
-            answer = yield Request(i, command, data, reply)
+            answer: Reply = yield Request(i, command, data, reply)
             if answer.error is not None:
                 self._refusal = answer.error  # the error may belong to the previous setting
             if answer in received and (answer.data is not None or answer.error == Code.UNKNOWN_COMMAND):
@@ -286,7 +286,7 @@ class Sequences:
             received.add(answer)
         return None
 
-    def _need(self, i: int, setting: int) -> Generator[Request | float, Reply, int]:
+    def _need(self, i: int, setting: int) -> Generator[Request | float, Any, int]:
         value = yield from self._read_twice(i, ZaberCommand.SETTING, setting)
         if value is None:
             raise ZaberError(f"{self._units.name(i)} does not report its setting {setting}")

@@ -19,7 +19,7 @@ from station.config.strict import ConfigError, check
 from station.devices.config import in_order
 from station.devices.interfaces import Condition, DeviceFault, JointReading, Severity
 from station.devices.links.link import LinkError, SerialLink, reopen
-from station.devices.zaber.chain import Axis, LineCounts, LineSettings, ZaberChain
+from station.devices.zaber.chain import MAX_MISSES, Axis, LineCounts, LineSettings, ZaberChain
 from station.devices.zaber.protocol import (
     BAUD,
     FIRST_ALIAS,
@@ -58,7 +58,7 @@ class ZaberStages:
         self._sent: tuple[list[int], Array] = ([], np.zeros(0))  # speeds sent, in speed units and in SI units
         self._script: Script | None = None
         self._wait_until = -math.inf
-        self._started = self._send_deferred = False
+        self._send_deferred = False
         self._pending_velocities: list[float] = []  # velocities that wait for a free line [rad/s or m/s]
         self._use(ports)
 
@@ -71,7 +71,7 @@ class ZaberStages:
             for event in chain.feed(self._read(which), now):
                 self._process(which, event)
         if self._script is not None and now >= self._wait_until and not self._asking:
-            self._advance(Reply())
+            self._advance(None)
         if self._send_deferred:
             self._send_deferred = False  # `command` follows in the same tick with newer velocities, and sends them
         else:
@@ -230,17 +230,16 @@ class ZaberStages:
 
     def _start_script(self, script: Script) -> None:
         self._end_script()
-        self._script, self._started, self._wait_until = script, False, -math.inf
-        self._advance(Reply())
+        self._script, self._wait_until = script, -math.inf
+        self._advance(None)
 
-    def _advance(self, answer: Reply) -> None:
-        """Pass a reply to the running sequence and execute its next step."""
+    def _advance(self, answer: Reply | None) -> None:
+        """Pass a reply, or None after a wait, to the running sequence and execute its next step."""
         if self._script is None:
             return
         self._asking = False
         try:
-            step = self._script.send(answer) if self._started else next(self._script)
-            self._started = True
+            step = self._script.send(answer)
         except StopIteration:
             self._script = None
             self.condition = Condition.CONNECTED
@@ -281,7 +280,7 @@ class ZaberStages:
             return
         i = self.ports[which].stages[event.axis]
         if isinstance(event, ReplyLost):
-            self._lose((i,), f"{self._line.misses} replies are missing")
+            self._lose((i,), f"{MAX_MISSES} replies are missing")
         elif isinstance(event, UnexpectedMotion):
             self._end_script()
             self.homed[i] = False

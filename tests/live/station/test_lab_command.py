@@ -167,7 +167,7 @@ def test_drivers_find_every_device_of_the_lab_command_and_a_signal_ends_it_clean
         assert motors.poll(time.monotonic()).positions == pytest.approx(
             [s.position(0) for s in motors.setups], abs=1e-9
         )
-        assert [page.serial for page in sensors.pages] == ["FT00001", "FT00002"]
+        assert [each["calibration"] for each in sensors.details().values()] == ["FT00001", "FT00002"]
         load = np.array([LOAD, 0.0, 0.0])
         fused = fuse_at(paper.robot(), np.array(PARK), sensors.poll(time.monotonic()).wrenches)
         assert fused.force == pytest.approx(load, abs=6e-3)  # tolerance: quantisation of two sensors, 3.9 mN each

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from station.devices.ati.calibration import read_page
-from station.devices.ati.netft import BoxAddress, SensorError, connect
+from station.devices.ati.netft import ForceBoxFile, SensorError, connect
+from station.devices.ati.protocol import RdtCommand, request
 from station.lab.endpoints import AddressInUse, PageServer, UdpDeviceEnd
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from tests.harness.netft_bench import PERFECT, TICK, WRENCH
@@ -50,7 +51,9 @@ def served() -> Iterator[Served]:
 
 
 def test_netft_driver_connects_streams_biases_and_stops_over_http_and_udp(served):
-    sensors = connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT77")])
+    sensors = connect(
+        [ForceBoxFile(host="127.0.0.1", rdt_port=served.end.port, http_port=served.server.port, serial="FT77")]
+    )
     try:
         sensors.start(time.perf_counter())
         reading = sensors.poll(time.perf_counter())
@@ -58,7 +61,8 @@ def test_netft_driver_connects_streams_biases_and_stops_over_http_and_udp(served
             time.sleep(0.001)
             reading = sensors.poll(time.perf_counter())
         assert reading.wrenches[0] == pytest.approx(WRENCH, abs=1e-6)
-        sensors.bias()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
+            host.sendto(request(RdtCommand.BIAS), ("127.0.0.1", served.end.port))
         while sensors.poll(time.perf_counter()).wrenches.any():
             time.sleep(0.001)
     finally:
@@ -67,7 +71,7 @@ def test_netft_driver_connects_streams_biases_and_stops_over_http_and_udp(served
 
 def test_force_sensor_with_an_unexpected_serial_number_is_refused(served):
     with pytest.raises(SensorError, match="calibration 'FT77', expected 'FT78'"):
-        connect([BoxAddress("127.0.0.1", served.end.port, served.server.port, "FT78")])
+        connect([ForceBoxFile(host="127.0.0.1", rdt_port=served.end.port, http_port=served.server.port, serial="FT78")])
 
 
 def test_browser_gets_only_the_page_from_the_simulated_box(served):

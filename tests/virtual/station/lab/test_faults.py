@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
-from station.devices.ati.protocol import SATURATED, RdtCommand, Record, records, request
+from station.devices.ati.protocol import SATURATED, RdtCommand, request
 from station.devices.aurora.session import FrameQuality
 from station.devices.aurora.tracker import AuroraTracker
 from station.devices.links.link import LinkError, reopen
@@ -17,6 +17,7 @@ from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import SimulatedBench
+from tests.harness.netft_bench import Record, records
 
 TICK = 0.002
 AT = np.array([0.05, 0.30, -0.125])

@@ -177,7 +177,7 @@ def test_time_of_a_load_counts_from_its_start(homed):
 def test_untared_force_sensors_read_different_offsets(paper):
     bench = Bench(paper, LabConfig()).run(0.5)
 
-    assert [page.serial for page in bench.sensors.pages] == ["FT00001", "FT00002"]
+    assert [each["calibration"] for each in bench.sensors.details().values()] == ["FT00001", "FT00002"]
     first, second = bench.wrenches.wrenches
     assert np.abs(first - second).max() > 0.05
 

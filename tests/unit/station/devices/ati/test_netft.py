@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from station.devices.ati.calibration import NetftPage
-from station.devices.ati.netft import BoxAddress, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
-from station.devices.ati.protocol import LATENCY_S
+from station.devices.ati.netft import ForceBoxFile, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
+from station.devices.ati.protocol import LATENCY_S, RdtCommand, request
 from station.devices.links.link import LinkError
 from station.lab.wires import MemoryDatagramEnd
 
@@ -57,8 +57,9 @@ def run(sensors: NetftSensors, boxes: list[Box], ticks: range, **what: object) -
 
 def test_stream_requests_bias_and_stop_match_the_manual(boxes):
     sensors = driver(boxes)
-    sensors.bias()
-    sensors.reset_latch()
+    for box in boxes:
+        box.link.send(request(RdtCommand.BIAS))
+        box.link.send(request(RdtCommand.RESET_LATCH))
     sensors.stop()
 
     for box in boxes:
@@ -263,4 +264,4 @@ def test_address_without_an_answer_is_named():
     with pytest.raises(SensorError, match=r"http://127\.0\.0\.1:9/netftapi2\.xml does not answer"):
         fetch_page("127.0.0.1", 9, timeout=0.5)
     with pytest.raises(SensorError, match="does not answer"):
-        connect([BoxAddress("127.0.0.1", http_port=9)])
+        connect([ForceBoxFile(host="127.0.0.1", http_port=9)])

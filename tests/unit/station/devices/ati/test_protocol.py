@@ -17,10 +17,10 @@ from station.devices.ati.protocol import (
     describe,
     follow,
     is_usable,
-    records,
     request,
 )
 from tests.fuzz.netft import fuzz
+from tests.harness.netft_bench import records
 
 #: Example record: sequence 1, sample 6433, healthy, (1, -2, 3) N, (0.01, -0.02, 0.03) N m, 1e6 counts per unit.
 WORKED = bytes.fromhex("00000001 00001921 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530")

@@ -80,7 +80,7 @@ def test_latest_command_is_sent_and_an_unchanged_one_is_not(host):
 
 
 def test_unchanged_velocity_is_repeated_after_a_while():
-    host = Host(LineSettings(refresh=0.25))
+    host = Host(LineSettings())
     host.run(0.3)
     host.run(2.0, lambda now: [host.chain.command(axis, 0) for axis in range(3)])
     # the axis has not moved since connecting, so there is no velocity to repeat
