@@ -1,20 +1,4 @@
-"""The table `[devices]` of a station file: the driver of each device, and the driver's options.
-
-```toml
-[devices.stages]
-driver = "zaber"
-port = "/dev/ttyUSB0"
-
-[devices.tracker]
-driver = "aurora"
-port = "/dev/ttyUSB1"
-
-[devices.sensors]
-driver = "netft"
-tubes.inner.host = "192.168.1.11"
-tubes.outer.host = "192.168.1.12"
-```
-"""
+"""The table `[devices]` of a station file, and what the options of several drivers share."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar

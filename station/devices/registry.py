@@ -1,11 +1,9 @@
 """Finds drivers by name and opens the devices of a bench, all or none.
 
-A driver is built in, or installed with an entry point `ctr_station.devices`.
-
-An installed driver is a callable `open(options, robot)` that returns a device with an interface of `interfaces.py`.
-`options` is the device's table of the station file without the key `driver`. If the callable raises, the station opens
-no device. A callable for stages has an attribute `emergency_stop(options, robot, clock)`, a function by which another
-process stops the stages.
+A driver is built in, or installed with an entry point `ctr_station.devices`. An installed driver is a callable
+`open(options, robot)` that returns a device with an interface of `interfaces.py`. `options` is the device's table of
+the station file without the key `driver`. If the callable raises, the station opens no device. A callable for stages
+has an attribute `emergency_stop(options, robot, clock)`, a function by which another process stops the stages.
 """
 
 import contextlib

@@ -7,6 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from core.robot.robot import Array
+from station.devices.aurora.session import USUAL_REPLY_S
 from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import TrackerConfig
 
@@ -50,8 +51,6 @@ VOLUME_MM = ((-250.0, 250.0), (-250.0, 250.0), (-550.0, -50.0))
 VISIBLE_BEYOND_MM = 50.0
 #: Number of frames for which random noise is drawn at once, because single draws are slow.
 NOISE_BLOCK = 64
-#: Transmission time of the BX reply for one tool at 115200 baud, which is part of the configured latency [s].
-USUAL_REPLY_S = 10.0 * 53 / 115200
 
 
 class CoilView(NamedTuple):

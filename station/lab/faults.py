@@ -1,4 +1,4 @@
-"""Faults of the simulated devices, as configured in an experiment file.
+"""Faults of the simulated devices, as configured in an experiment file, and their schedule.
 
 ```toml
 [[faults]]
@@ -12,7 +12,7 @@ value = 0.02
 
 import math
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import model_validator
 
@@ -257,9 +257,7 @@ def zaber_faults(active: Sequence[Incident]) -> Faults:
     slots = {kind: frozenset(i + 1 for i in _indices(mine, kind)) for kind in ("mute", "stall")}
     cuts = [index + 1 for index in _indices(mine, "disconnect")]
     return Faults(
-        drop=_worst(mine, "drop_bytes"),
-        flip=_worst(mine, "flip_bits"),
-        delay=_worst(mine, "delay"),
+        **_line_faults(mine),
         mute=slots["mute"],
         cut=min(cuts, default=None),
         stalled=slots["stall"],
@@ -271,9 +269,7 @@ def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
     mine = [one for one in active if one.target.part == "tracker"]
     kinds = {one.fault.kind for one in mine}
     return AuroraFaults(
-        drop=_worst(mine, "drop_bytes"),
-        flip=_worst(mine, "flip_bits"),
-        delay=_worst(mine, "delay"),
+        **_line_faults(mine),
         mute="mute" in kinds,
         tool_lost="lose_tool" in kinds,
         target_lost="lose_target" in kinds,
@@ -287,15 +283,18 @@ def netft_faults(active: Sequence[Incident], index: int) -> NetftFaults:
     mine = [one for one in active if one.target.part == "sensor" and index in one.target.indices]
     kinds = {one.fault.kind for one in mine}
     return NetftFaults(
-        drop=_worst(mine, "drop_bytes"),
-        flip=_worst(mine, "flip_bits"),
-        delay=_worst(mine, "delay"),
+        **_line_faults(mine),
         # Datagrams have no connection, so a disconnected box is mute.
         mute=bool(kinds & {"mute", "disconnect"}),
         saturate="saturate" in kinds,
         freeze="freeze" in kinds,
         status=ANALOG_BOARD if "bad_status" in kinds else 0,
     )
+
+
+def _line_faults(mine: Sequence[Incident]) -> Any:
+    """Return the faults that the line of every kind of device can have, as keyword arguments."""
+    return {"drop": _worst(mine, "drop_bytes"), "flip": _worst(mine, "flip_bits"), "delay": _worst(mine, "delay")}
 
 
 def _worst(incidents: Sequence[Incident], kind: str) -> float:

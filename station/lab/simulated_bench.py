@@ -24,7 +24,7 @@ from station.lab.frictional_plant import true_plant
 from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from station.lab.simulated_zaber import SimulatedChain
-from station.lab.unmodelled_errors import UnmodelledErrors
+from station.lab.unmodelled_errors import UnmodelledErrors, random_direction
 from station.lab.wires import Wires, memory_wires
 from station.lab.zaber_unit import Unit, UnitKind
 
@@ -66,7 +66,7 @@ class MovingTarget:
         self._middle = tip + np.array(config.place)
         self._motions = tuple(
             TargetWaves(
-                size * _direction(rng), rate, second, config.rate_drift, config.size_drift,
+                size * random_direction(rng), rate, second, config.rate_drift, config.size_drift,
                 tuple(rng.uniform(0.0, 2.0 * math.pi, 3).tolist()),
             )
             for size, rate, second in (
@@ -79,11 +79,6 @@ class MovingTarget:
         """Return the position of the target (3,) at `time` [s], world frame [m]."""
         breathing, heartbeat = self._motions
         return self._middle + breathing.at(time) + heartbeat.at(time)
-
-
-def _direction(rng: np.random.Generator) -> Array:
-    vector = rng.standard_normal(3)
-    return vector / float(np.linalg.norm(vector))
 
 
 #: Device IDs of the simulated rotation and translation stages; those of the real stages are unknown.

@@ -25,7 +25,7 @@ class UnmodelledErrors:
     def __init__(self, robot: RobotFile, config: HiddenConfig, rng: np.random.Generator) -> None:
         description = robot.robot()
         q, joints = len(description.tubes), description.joints
-        angle, offset, tilt, shift = (_direction(rng) for _ in range(4))
+        angle, offset, tilt, shift = (random_direction(rng) for _ in range(4))
         self._generator = TrackerMounting(
             rotation_from_vector(config.registration_rotation * angle), config.registration_translation * offset
         )
@@ -47,7 +47,7 @@ class UnmodelledErrors:
         middle = np.array([0.5 * (joint.lower + joint.upper) for joint in robot.joints])
         self._shift = np.where(self._sign < 0.0, 2.0 * middle, 0.0) + self._zero
         self._changes_joints = bool(self._shift.any() or (self._sign < 0.0).any())
-        self._mounting = [rotation_from_vector(config.sensor_mounting * _direction(rng)).T for _ in range(q)]
+        self._mounting = [rotation_from_vector(config.sensor_mounting * random_direction(rng)).T for _ in range(q)]
         self._weight = config.sensor_weight
         self._tube_of = {joint.tube: k for k, joint in enumerate(joints) if joint.motion == "rotation"}
         #: Whether `felt` changes the wrenches.
@@ -86,7 +86,8 @@ class UnmodelledErrors:
         return result
 
 
-def _direction(rng: np.random.Generator) -> Array:
+def random_direction(rng: np.random.Generator) -> Array:
+    """Return a unit vector (3,) of random direction."""
     vector = rng.standard_normal(3)
     return vector / float(np.linalg.norm(vector))
 

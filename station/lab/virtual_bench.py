@@ -1,4 +1,4 @@
-"""A simulated bench in virtual time: the plant, its simulated devices, and the drivers that a real bench uses."""
+"""Benches in virtual time: the plant with ideal devices, or simulated devices with the drivers of a real bench."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -173,13 +173,12 @@ class GaugeCalibration:
     ranges: Array  #: (6,) calibrated range of each axis [N, N m]
     volts: float  #: voltage, of either sign, at which the converter saturates [V]
 
-    def wrench(self, voltages: Array, bias: Array) -> Array:
-        """Return the wrench (6,) [N, N m] of `voltages` (6,), with the voltages `bias` (6,) without load [V]."""
-        return self.matrix @ (voltages - bias)
+    def mean_wrench(self, voltages: Array) -> Array | None:
+        """Return the untared wrench (6,) [N, N m] of the mean of k samples of gauge voltages (6, k) [V].
 
-    def is_saturated(self, voltages: Array) -> bool:
-        """Return whether a voltage is saturated or not a number, which makes the wrench invalid."""
-        return not bool((np.abs(voltages) < self.volts).all())
+        The result is None if any sample is saturated or not a number, because the mean would hide the saturation.
+        """
+        return self.matrix @ voltages.mean(axis=1) if (np.abs(voltages) < self.volts).all() else None
 
 
 def read_calibration(path: Path) -> GaugeCalibration:

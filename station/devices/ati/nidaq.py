@@ -144,16 +144,6 @@ class CardClock:
         return self._offset + (self._count - 0.5 * (samples - 1)) / self._rate
 
 
-def mean_wrench(calibration: GaugeCalibration, voltages: Array) -> Array | None:
-    """Return the untared wrench (6,) [N, N m] of the mean of k samples of gauge voltages (6, k) [V].
-
-    The result is None if any sample is saturated, because the mean would hide the saturation.
-    """
-    if calibration.is_saturated(voltages):
-        return None
-    return calibration.wrench(voltages.mean(axis=1), np.zeros(6))
-
-
 class CardSensors:
     """Base sensors on analog cards, in the order of the tubes."""
 
@@ -261,7 +251,7 @@ class CardSensors:
             if wiring.card != card:
                 continue
             gauges = voltages[wiring.first : wiring.first + 6]
-            wrench = mean_wrench(wiring.calibration, gauges)
+            wrench = wiring.calibration.mean_wrench(gauges)
             self._flags[i] = 0 if wrench is not None else int(CardQuality.SATURATED)
             if wrench is None:
                 self._saturated[i] += 1

@@ -15,7 +15,7 @@ from station.config.robots import RobotFile
 from station.config.strict import ConfigError, NotNegative, Strict, check
 from station.devices.aurora.dialogue import AuroraSettings, RateChange, SerialBreak
 from station.devices.aurora.protocol import POWER_UP_BAUD, ToolIdentity
-from station.devices.aurora.session import AuroraSession, FrameCounts, FrameQuality, TrackerFrame
+from station.devices.aurora.session import AuroraSession, FrameQuality, TrackerFrame
 from station.devices.config import Mount, Serial
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import Link, LinkError, SerialLink, reopen
@@ -36,11 +36,6 @@ class TrackerReport(NamedTuple):
     quality: FrameQuality
     good_age: float  #: time since the last good position was measured; infinite before the first one [s]
     trouble: str  #: human-readable reason of a problem; empty if there is none
-    firmware: str  #: the unit's freeze tag
-    tool: ToolIdentity | None  #: the coil at the tip
-    counts: FrameCounts
-    noise: int  #: bytes that belonged to no reply
-    crc_errors: int
 
 
 class AuroraTracker:
@@ -102,16 +97,22 @@ class AuroraTracker:
 
     def details(self) -> Mapping[str, Any]:
         """Return identity and counters of the tracker."""
-        report = self.report(self._session.dialogue.now)
+        session = self._session
         return {
             "port": self._link.name,
-            "firmware": report.firmware,
-            "tool": None if report.tool is None else report.tool._asdict(),
-            **({"target": self._session.dialogue.target is not None} if self._settings.target_serial else {}),
-            **vars(report.counts),
-            "noise_bytes": report.noise,
-            "crc_errors": report.crc_errors,
+            "firmware": session.dialogue.firmware,
+            "tool": None if self._tool is None else self._tool._asdict(),
+            **({"target": session.dialogue.target is not None} if self._settings.target_serial else {}),
+            **vars(session.counts),
+            "noise_bytes": session.reader.noise,
+            "crc_errors": session.reader.crc_errors,
         }
+
+    @property
+    def _tool(self) -> ToolIdentity | None:
+        """Identity of the coil at the tip; None before the unit has reported it."""
+        dialogue = self._session.dialogue
+        return None if dialogue.handle is None else dialogue.tools.get(dialogue.handle)
 
     def poll(self, now: float) -> TipReading | None:
         """Return the newest good frame that arrived since the last poll, or None."""
@@ -151,23 +152,12 @@ class AuroraTracker:
         elif session.tracking and now - session.last_arrival > SILENCE_TIMEOUT_S:
             quality = FrameQuality.SILENT
             trouble = trouble or f"no new frame for {now - session.last_arrival:.2f} s"
-        tool = None if session.dialogue.handle is None else session.dialogue.tools.get(session.dialogue.handle)
-        return TrackerReport(
-            quality,
-            now - self._good_time,
-            trouble,
-            session.dialogue.firmware,
-            tool,
-            replace(session.counts),
-            session.reader.noise,
-            session.reader.crc_errors,
-        )
+        return TrackerReport(quality, now - self._good_time, trouble)
 
     def attach(self, link: Link) -> None:
         """Start a new session on another link after a loss; the session accepts only the same coil at the tip."""
-        report = self.report(0.0)
-        if report.tool is not None:
-            self._settings = replace(self._settings, tool_serial=report.tool.serial)
+        if self._tool is not None:
+            self._settings = replace(self._settings, tool_serial=self._tool.serial)
         self._link, self._lost = link, ""
         self._good_time = self._target_time = -math.inf
         self._session = AuroraSession(self._settings)

@@ -1,4 +1,4 @@
-"""Configuration of a Zaber stage: its joint, its microstep count, and its serial line."""
+"""Configuration of Zaber stages: their options in the station file, joint, microstep count, and serial line."""
 
 import math
 from collections.abc import Mapping

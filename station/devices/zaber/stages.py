@@ -34,7 +34,7 @@ from station.devices.zaber.protocol import (
     alias_number,
     error_text,
 )
-from station.devices.zaber.sequences import Identity, Script, Sequences, Units
+from station.devices.zaber.sequences import Script, Sequences, Units
 from station.devices.zaber.setup import PortSetup, StageFile, StageSetup, ZaberFile
 
 
@@ -50,6 +50,8 @@ class ZaberStages:
         self._units = Units(setups)
         self._sequences = Sequences(self._units)
         self.setups = self._units.setups
+        self.homed = self._units.homed  #: whether each stage is homed
+        self.identities = self._units.identities  #: identity that each unit has reported; None before it has
         self.condition = Condition.CLOSED
         self.problem = ""  #: why the condition is FAULT
         self.complaints: list[str] = []  #: the last ten errors that units reported without a request
@@ -116,16 +118,6 @@ class ZaberStages:
     def ports(self) -> tuple[PortSetup, ...]:
         """The serial ports in use."""
         return self._units.ports
-
-    @property
-    def homed(self) -> list[bool]:
-        """Whether each stage is homed."""
-        return self._units.homed
-
-    @property
-    def identities(self) -> list[Identity | None]:
-        """Identity that each unit has reported; None before the first connection."""
-        return self._units.identities
 
     @property
     def at_rest(self) -> bool:

@@ -136,8 +136,8 @@ def test_calibration_files_are_read_back_unchanged(subject, found, folder):
     point = np.array([10.0, -20.0, -300.0])  # position of a coil in the generator's frame [mm]
     from station.lab.aurora_coil import GENERATOR_POSE
 
-    expected = found.calibration.frames.registration.apply(GENERATOR_POSE.world(tuple(point)))
-    np.testing.assert_allclose(known.registration.world(tuple(point)), expected, rtol=0, atol=1e-8)
+    expected = found.calibration.frames.registration.apply(GENERATOR_POSE.apply(1e-3 * np.array(point)))
+    np.testing.assert_allclose(known.registration.apply(1e-3 * np.array(point)), expected, rtol=0, atol=1e-8)
 
 
 def test_calibrated_robot_file_has_provenance_and_intervals(folder):

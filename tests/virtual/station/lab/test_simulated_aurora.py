@@ -263,7 +263,7 @@ def test_aurora_commands_bx_and_tx_report_the_position_of_the_tip():
         assert tool.transform is not None
         assert tool.transform.position == pytest.approx(SEEN, abs=1e-4)
     assert binary.transform is not None
-    assert GENERATOR_POSE.world(binary.transform.position) == pytest.approx(TIP, abs=1e-7)
+    assert GENERATOR_POSE.apply(1e-3 * np.array(binary.transform.position)) == pytest.approx(TIP, abs=1e-7)
 
 
 def test_simulated_coil_reports_its_direction_but_no_roll():

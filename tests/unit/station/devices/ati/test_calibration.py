@@ -192,11 +192,13 @@ def test_wrench_is_computed_from_voltages_minus_bias():
     calibration = parse_calibration(file(AXIS_ROWS + TRANSFORM))
     bias = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.5])
 
-    wrench = calibration.wrench(np.array([1.1, 0.8, 0.3, 0.5, 0.5, 0.5]), bias)
+    loaded = calibration.mean_wrench(np.array([[1.1, 0.8, 0.3, 0.5, 0.5, 0.5]]).T)
+    unloaded = calibration.mean_wrench(bias[:, None])
 
     # The voltages are (1, 1, 0, 0.5, 0, 1) V above the bias.
-    assert wrench == pytest.approx([0.0, 2.0, 0.0, 0.011, 0.0, 0.004], abs=1e-12)
-    assert calibration.wrench(bias, bias) == pytest.approx(np.zeros(6))
+    assert loaded is not None
+    assert unloaded is not None
+    assert loaded - unloaded == pytest.approx([0.0, 2.0, 0.0, 0.011, 0.0, 0.004], abs=1e-12)
 
 
 @pytest.mark.parametrize(("volts", "saturated"), [(9.99, False), (10.0, True), (-10.0, True), (np.nan, True)])

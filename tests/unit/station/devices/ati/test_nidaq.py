@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.devices.ati.calibration import GaugeCalibration
-from station.devices.ati.nidaq import CardClock, CardQuality, CardSensors, NiCard, Wiring, device_of, mean_wrench
+from station.devices.ati.nidaq import CardClock, CardQuality, CardSensors, NiCard, Wiring, device_of
 from station.devices.interfaces import Condition, Severity
 from station.devices.links.link import LinkError, PortLock
 
@@ -72,13 +72,13 @@ def sensors_on(cards: Sequence[Recorded], wirings: Sequence[Wiring]) -> CardSens
 def test_wrench_is_recovered_from_its_voltages():
     wrench = np.array([1.0, -2.0, 3.0, 0.01, 0.02, -0.03])
     samples = np.repeat(voltages_of(wrench)[:, None], 10, axis=1)
-    assert mean_wrench(CALIBRATION, samples) == pytest.approx(wrench, abs=1e-12)
+    assert CALIBRATION.mean_wrench(samples) == pytest.approx(wrench, abs=1e-12)
 
 
 def test_mean_of_ten_samples_has_a_tenth_of_the_noise_power():
     noise = 1e-3 * np.random.default_rng(2).normal(size=(6, 20_000))
     singles = MATRIX @ noise
-    means = np.array([mean_wrench(CALIBRATION, noise[:, k : k + 10]) for k in range(0, 20_000, 10)])
+    means = np.array([CALIBRATION.mean_wrench(noise[:, k : k + 10]) for k in range(0, 20_000, 10)])
     assert means.std(axis=0) == pytest.approx(singles.std(axis=1) / math.sqrt(10.0), rel=0.05)
 
 
@@ -86,7 +86,7 @@ def test_mean_of_ten_samples_has_a_tenth_of_the_noise_power():
 def test_saturated_sample_invalidates_the_mean(value):
     samples = np.zeros((6, 10))
     samples[3, 7] = value
-    assert mean_wrench(CALIBRATION, samples) is None
+    assert CALIBRATION.mean_wrench(samples) is None
 
 
 def test_sample_time_follows_from_its_number_even_if_read_late():
