@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from station.devices.ati.netft import HISTORY_SAMPLES, SampleHistory
 from station.devices.ati.protocol import (
+    HISTORY_SAMPLES,
     LATENCY_S,
     Counters,
     RdtCommand,
     SampleClock,
+    SampleHistory,
     Stream,
     describe,
     follow,
