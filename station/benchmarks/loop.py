@@ -1,23 +1,82 @@
 """`ctr-station bench loop`: lateness of the control loop, which runs at 500 Hz in a separate process."""
 
+import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from core.errors import CtrError
-from station.benchmarks.timer_probe import TimerProbe
 from station.config.controllers import PERIOD_S
 from station.config.loads import RaisedCosineLoad
 from station.config.motions import CircleMotion
-from station.control.realtime import last_core
-from station.control.ring import Ring
+from station.control.child_process import ChildProcess
+from station.control.realtime import last_core, request_fifo, request_realtime, set_process_name
+from station.control.ring import SCHEDULER, Ring
 from station.control.states import State
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
+
+#: Real-time priority of the timer, above that of the control loop and of its other threads.
+PRIORITY = 90
+#: Interval at which the timer checks whether its parent process is alive [periods of 2 ms].
+PARENT_CHECK_PERIODS = 500
+
+
+class TimerProbe:
+    """Process that wakes every 2 ms on one processor and records its lateness; used in a `with` block."""
+
+    def __init__(self, core: int | None) -> None:
+        """Start the process on `core`, the processor of the control loop; None: on any processor."""
+        self._ring = Ring(1)
+        self._child = ChildProcess(_watch, self._ring.name, core, name="timer probe")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.terminate()
+        self._child.ended()
+        self._child.pipe.close()
+        self._ring.close(remove=True)
+
+    def clear(self) -> None:
+        """Clear the recorded lateness."""
+        self._ring.clear_timing()
+
+    def figures(self) -> dict[str, Any]:
+        """Return the lateness of the timer, and the number of its ticks that were a period late or more."""
+        timing = self._ring.timing()
+        return {
+            "ticks": timing.ticks,
+            "late_us": timing.late_us,
+            "a_period_late": self._ring.later_than(PERIOD_S),
+            "scheduler": timing.scheduler,
+        }
+
+
+def _watch(ring_name: str, core: int | None, _pipe: Connection, parent: int) -> None:
+    """Main function of the timer's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
+    set_process_name("ctr-probe")
+    ring = Ring(1, ring_name)
+    request_realtime(fifo=False, core=core)
+    ring.counters[SCHEDULER] = request_fifo(PRIORITY)
+    start, tick = time.monotonic(), 0
+    while tick % PARENT_CHECK_PERIODS or os.getppid() == parent:  # a late timer skips ticks, which may delay this check
+        due = start + tick * PERIOD_S
+        left = due - time.monotonic()
+        if left > 0.0:
+            time.sleep(left)
+        late = time.monotonic() - due
+        skipped = int(late / PERIOD_S)
+        ring.time_late(late, skipped)
+        tick += 1 + skipped
 
 
 def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True) -> dict[str, Any]:

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from station.benchmarks.accuracy import cost
-from station.benchmarks.bench import flat, headless, model
+from station.benchmarks.bench import flat, headless, model, tick
 from station.benchmarks.cold import cold
 from station.benchmarks.loop import loop
 from station.benchmarks.recorder import recorder
 from station.benchmarks.setpoints import setpoints
-from station.benchmarks.tick import tick
 from station.benchmarks.wire import wire
 from station.experiments.job_pool import processors
 

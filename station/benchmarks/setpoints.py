@@ -9,25 +9,183 @@ at the stages. The delay is measured without and with a browser that draws the p
 import contextlib
 import math
 import os
+import signal
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.robot.robot import Array
-from station.benchmarks.delays import UsedSetpoint, delays, figures, on_the_line
 from station.benchmarks.loop import stolen_seconds
-from station.benchmarks.noting_lab import Note, NotingLab
 from station.benchmarks.served import ServedStation, browser, open_page, serve_station
 from station.client import Station
+from station.control.child_process import ChildProcess
+from station.control.realtime import freeze_garbage_collection, request_fifo, set_process_name
 from station.control.ring import MISSED, RUN, Ring
 from station.control.telemetry import Channels
-from station.devices.zaber.protocol import SPEED_UNIT, ZaberCommand, alias_number
+from station.devices.config import BenchFile
+from station.devices.zaber.protocol import MESSAGE_BYTES, MESSAGE_TIME_S, SPEED_UNIT, ZaberCommand, alias_number, decode
+from station.lab.endpoints import devices_at
+from station.lab.lab_server import PRIORITY, LabServer
 from station.service.rig import Rig
 from station.service.station_file import load_station
+
+
+class UsedSetpoint(NamedTuple):
+    """Setpoints that the ticks of the control loop have used, oldest first; all times are of the same clock [s]."""
+
+    ticks: Array  #: due time of each tick (m,) [s]
+    setpoint: NDArray[np.int64]  #: index of the newest setpoint at each tick (m,); -1: none
+    received: Array  #: time when the server received this setpoint (m,) [s]
+    desired: NDArray[np.int64]  #: desired velocities of the axes (m, n) [units of the stages]
+    sent: NDArray[np.int64]  #: velocities sent before each tick (m, n) [units of the stages]
+
+
+class Delays(NamedTuple):
+    """Parts of the delay, with one element for each pair of a used setpoint and an axis [s]."""
+
+    hearing: Array  #: time from the sending of the setpoint to its reception by the server
+    tick: Array  #: time from the reception to the tick that uses the setpoint
+    line: Array  #: time from the tick to the start of the axis's next velocity command on the line (6 bytes, 6.25 ms)
+
+    @property
+    def whole(self) -> Array:
+        """Whole delay: the sum of the three parts [s]."""
+        return self.hearing + self.tick + self.line
+
+
+def on_the_line(arrivals: Array) -> Array:
+    """Return the times at which the serial line starts to transmit messages (m,) that reach it at `arrivals` [s]."""
+    starts = np.empty_like(arrivals)
+    free = -np.inf
+    for number, arrival in enumerate(arrivals):
+        starts[number] = max(free, arrival)
+        free = starts[number] + MESSAGE_TIME_S
+    return starts
+
+
+def delays(sent_at: Array, used: UsedSetpoint, transmitted: Sequence[Array]) -> Delays:
+    """Return the delays of the setpoints that a tick has used.
+
+    A setpoint that was replaced before the next tick is not counted. A setpoint is also not counted for an axis whose
+    velocity it leaves unchanged, because no command is sent to this axis.
+
+    Args:
+        sent_at: times at which the client sent the setpoints (s,) [s].
+        used: setpoints that the control loop has used.
+        transmitted: for each axis, times at which the line started to transmit velocity commands [s].
+    """
+    numbers, first = np.unique(used.setpoint, return_index=True)
+    first = first[numbers >= 0]
+    found: list[tuple[float, float, float]] = []
+    for axis, times in enumerate(transmitted):
+        # A row has the velocities that were sent before its tick. So a changed value was sent in the previous tick.
+        out = np.flatnonzero(np.diff(used.sent[:, axis]) != 0)
+        right = np.flatnonzero(used.desired[:, axis] == used.sent[:, axis])
+        for tick in first:
+            due, received = float(used.ticks[tick]), float(used.received[tick])
+            sent, needless = _next(out, tick), _next(right, tick)
+            if sent is None or (needless is not None and needless <= sent):
+                continue
+            on_line = _next(times, float(used.ticks[int(sent)]))
+            if on_line is not None:
+                found.append((received - float(sent_at[used.setpoint[tick]]), due - received, float(on_line) - due))
+    table = np.array(found).reshape(-1, 3)
+    return Delays(table[:, 0], table[:, 1], table[:, 2])
+
+
+def figures(found: Delays) -> dict[str, Any]:
+    """Return median, p99 and maximum of the whole delay and of its parts [ms]."""
+    return {
+        f"{name}_ms": dict(zip(("median", "p99", "max"), _three(part), strict=True))
+        for name, part in (("whole", found.whole), *found._asdict().items())
+    }
+
+
+def _next(among: NDArray[Any], since: float) -> Any:
+    """Return the first value of an ascending array that is at least `since`; None if all values are smaller."""
+    index = int(np.searchsorted(among, since))
+    return among[index] if index < len(among) else None
+
+
+def _three(part: Array) -> list[float] | list[None]:
+    if not part.size:
+        return 3 * [None]
+    return np.round(1e3 * np.percentile(part, [50, 99, 100]), 2).tolist()
+
+
+class Note(NamedTuple):
+    """Message that has arrived at the stages' end of the serial line."""
+
+    time: float  #: time of arrival on the station's clock [s]
+    device: int  #: number or alias of the addressed unit
+    command: int
+    data: int
+
+
+class NotingLab:
+    """Owner of the lab's process, used in a `with` block; the stages start homed and at the rig's parking pose."""
+
+    def __init__(self, bench: Rig) -> None:
+        self._child = ChildProcess(_run, bench, name="noting lab")
+        self.devices: BenchFile = devices_at(self._child.pipe.recv(), bench.lab, bench.clock)
+
+    def notes(self) -> list[Note]:
+        """Return the messages that have arrived since the previous call."""
+        self._child.pipe.send("notes")
+        return self._child.pipe.recv()
+
+    def __enter__(self) -> "NotingLab":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.close(2.0)
+
+
+def _run(bench: Rig, pipe: Connection, _parent: int) -> None:
+    """Main function of the lab's process, which ends when the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the measuring process ends it
+    set_process_name("ctr-lab")
+    notes: list[Note] = []
+    part = b""
+    with LabServer(bench.robot, bench.lab, bench.seed, np.array(bench.park), homed=True, clock=bench.clock) as lab:
+        receive = lab.lab.chain.receive
+
+        def receive_and_note(data: bytes, now: float) -> None:
+            nonlocal part
+            part += data
+            while len(part) >= MESSAGE_BYTES:
+                notes.append(Note(bench.clock.now(), *decode(part[:MESSAGE_BYTES])))
+                part = part[MESSAGE_BYTES:]
+            receive(data, now)
+
+        def answer_requests() -> bool:
+            while pipe.poll():
+                if _next_request(pipe) is None:
+                    return True
+                pipe.send(notes.copy())
+                notes.clear()
+            return False
+
+        lab.lab.chain.receive = receive_and_note
+        lab.lab.advance(bench.clock.now() - lab.start_time)  # compile the code now, not during the measurement
+        freeze_garbage_collection()
+        request_fifo(PRIORITY, in_turns=True)  # as the process of a station's lab does
+        pipe.send(lab.endpoints)
+        lab.run(answer_requests)
+
+
+def _next_request(pipe: Connection) -> Any:
+    try:
+        return pipe.recv()
+    except (EOFError, OSError):
+        return None  # the measuring process has ended
+
 
 #: Rates at which the script sends setpoints [1/s].
 SETPOINT_RATES_HZ = (50.0, 100.0, 500.0)

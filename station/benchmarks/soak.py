@@ -15,8 +15,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from core.errors import CtrError
-from station.benchmarks.growth import Growth, resident_bytes
 from station.config.loads import ConstantLoad, NoLoad
 from station.config.motions import CircleMotion, HoldMotion, SinusoidMotion
 from station.control.states import State
@@ -24,6 +25,43 @@ from station.lab.faults import FaultKind, LabFault
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
+
+_PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+
+
+def resident_bytes(pid: int) -> float | None:
+    """Return the resident memory of a process [bytes]; None if it has ended or the system does not report it."""
+    try:
+        return float(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * _PAGE
+    except (OSError, IndexError, ValueError):
+        return None
+
+
+class Growth:
+    """Memory growth of one process."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._sizes: list[float] = []
+
+    def add(self, time: float, size: float) -> None:
+        """Add the resident memory `size` [bytes] that was measured at `time` [s]."""
+        self._times.append(time)
+        self._sizes.append(size)
+
+    @property
+    def size(self) -> float:
+        """Latest resident memory [bytes]."""
+        return self._sizes[-1] if self._sizes else 0.0
+
+    @property
+    def slope(self) -> float:
+        """Slope of a line fitted to the second half of the sizes, which has no initial allocations [bytes/s]."""
+        half = len(self._times) // 2
+        if len(self._times) - half < 3:
+            return 0.0
+        return float(np.polyfit(self._times[half:], self._sizes[half:], 1)[0])
+
 
 #: Longest time for the start of the station, which may compile all code on a busy computer [s].
 START_TIMEOUT_S = 300.0

@@ -53,7 +53,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _measure(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.benchmarks import accuracy, bench, cold, gym, loop, recorder, setpoints, solver, tick, wire
+    from station.benchmarks import accuracy, bench, cold, loop, recorder, setpoints, solver, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -75,13 +75,13 @@ def _measure(parsed: argparse.Namespace) -> dict[str, Any]:
             case "cost":
                 return accuracy.cost()
             case "tick":
-                return tick.tick()
+                return bench.tick()
             case "wire":
                 return wire.wire()
             case "headless":
                 return bench.headless()
             case "gym":
-                return gym.gym()
+                return bench.gym()
             case "cold":
                 return cold.cold()
             case _:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 
-from station.benchmarks.timer_probe import TimerProbe
+from station.benchmarks.loop import TimerProbe
 from station.cli.machine import README, MachineFinding, setup_findings
 from station.control.realtime import may_lock_memory, request_fifo
 

@@ -26,9 +26,8 @@ import pylsl
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from station.benchmarks.loop import figures, stolen_seconds
+from station.benchmarks.loop import TimerProbe, figures, stolen_seconds
 from station.benchmarks.served import ServedStation as TelemetryOf
-from station.benchmarks.timer_probe import TimerProbe
 from station.config.robots import load_robot
 from tests.harness.chromium import SIZE, chromium
 from tests.harness.gateway_clients import zenoh_session

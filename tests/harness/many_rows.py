@@ -20,7 +20,7 @@ from core.errors import NoSolution
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from station.benchmarks.accuracy import MAX_COLD_ERROR_M, cases
-from station.benchmarks.many import random_rows
+from station.benchmarks.bench import random_rows
 from station.benchmarks.solver import Pose, continued_from_rest
 from station.solve_many import solve_many
 

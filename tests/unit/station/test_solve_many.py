@@ -5,7 +5,7 @@ import pytest
 
 from core.model import batch
 from core.model.statics import Statics
-from station.benchmarks.many import random_rows
+from station.benchmarks.bench import random_rows
 from station.solve_many import solve_many
 from tests.harness.many_rows import checked
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import psutil
 
-from station.benchmarks.timer_probe import TimerProbe
+from station.benchmarks.loop import TimerProbe
 
 
 def until(condition: Callable[[], bool]) -> None:

@@ -12,8 +12,7 @@ from core.model.relaxation import base_unknowns, cut, relax
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.benchmarks.elastic_energy import ZERO_EIGENVALUE, lowest
-from station.benchmarks.solver import MAX_FORCE_N, OTHER_SHAPE_M, continued_from_rest, draw
+from station.benchmarks.solver import MAX_FORCE_N, OTHER_SHAPE_M, ZERO_EIGENVALUE, continued_from_rest, draw, lowest
 
 UNLOADED = np.zeros(6)
 TURN = (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation"))

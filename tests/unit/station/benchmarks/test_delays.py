@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.benchmarks.delays import UsedSetpoint, delays, figures, on_the_line
+from station.benchmarks.setpoints import UsedSetpoint, delays, figures, on_the_line
 from station.devices.zaber.protocol import MESSAGE_TIME_S
 
 

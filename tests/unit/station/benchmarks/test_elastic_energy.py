@@ -8,7 +8,7 @@ import pytest
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.benchmarks.elastic_energy import ZERO_EIGENVALUE, lowest
+from station.benchmarks.solver import ZERO_EIGENVALUE, lowest
 
 
 @pytest.mark.parametrize(("part", "stable"), [(-1.0, True), (0.0, True), (0.97, True), (1.03, False), (5.0, False)])

@@ -1,6 +1,6 @@
 """The benchmark of the environments reports their steps under the documented names."""
 
-from station.benchmarks.gym import VECTOR_EPISODES, gym
+from station.benchmarks.bench import VECTOR_EPISODES, gym
 
 
 def test_gym_benchmark_steps_single_and_vector_environments():

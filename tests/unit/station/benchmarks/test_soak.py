@@ -4,8 +4,7 @@ import os
 
 import pytest
 
-from station.benchmarks.growth import Growth, resident_bytes
-from station.benchmarks.soak import FAULT_CHANCES
+from station.benchmarks.soak import FAULT_CHANCES, Growth, resident_bytes
 from station.lab.faults import LabFault, check_faults
 
 
