@@ -14,7 +14,7 @@ from typing import Any
 from core.errors import CtrError
 from station.client import Station
 from station.config.robots import RobotFile
-from station.config.toml_text import toml_lines
+from station.config.strict import toml_lines
 from station.control.process import ring_width
 from station.control.ring import SEGMENT_FOLDER, SEGMENT_PREFIX, Ring
 

@@ -18,8 +18,7 @@ from core.calibration.rigid_transform import RigidTransform, vector_from_rotatio
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
-from station.config.strict import FORMAT, ConfigError, Strict
-from station.config.toml_text import toml_lines, toml_string
+from station.config.strict import FORMAT, ConfigError, Strict, toml_lines, toml_string
 from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
 from station.devices.aurora.tracker import TrackerMounting
 

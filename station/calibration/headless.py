@@ -16,7 +16,7 @@ from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.aurora.tracker import TrackerMounting
-from station.experiments.interrupt import interrupts
+from station.experiments.job_pool import interrupts
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
 

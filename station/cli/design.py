@@ -12,7 +12,7 @@ from station.cli.options import count, print_result, progress_bar, result_folder
 from station.experiments.job_pool import processors
 
 if TYPE_CHECKING:
-    from station.design.candidates import Candidates, Line
+    from station.design.search import Candidates, Line
     from station.design.study import Study
 
 
@@ -38,9 +38,9 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _design(parsed: argparse.Namespace) -> int:
-    from station.design.candidates import Candidates, plan_of
     from station.design.design_output import sentences, tables, write_design
     from station.design.outcome import design, summary
+    from station.design.search import Candidates, plan_of
     from station.design.study import load_study
     from station.experiments.dask_cluster import check_dask
 
@@ -63,8 +63,7 @@ def _design(parsed: argparse.Namespace) -> int:
 
 def _run_search(study: "Study", candidates: "Candidates", parsed: argparse.Namespace) -> "list[Line]":
     """Evaluate all candidates; show a progress bar with their number and the remaining time."""
-    from station.design.engines import search_engine
-    from station.design.search import planned, search
+    from station.design.search import planned, search, search_engine
 
     with progress_bar(over=3600.0) as bar:
         task = bar.add_task(f"design {study.name}", total=planned(study))

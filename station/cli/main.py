@@ -26,8 +26,7 @@ from station.cli import (
     validate,
     workspace,
 )
-from station.cli.default_command import move_command_first
-from station.cli.options import number_between
+from station.cli.options import move_command_first, number_between
 from station.config.strict import preset_names
 from station.threads import limit_to_one_thread
 

@@ -2,12 +2,38 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+#: Options without a value that may precede a command; every other option is followed by its value.
+SERVE_FLAGS = ("--no-browser", "--json")
+HELP_FLAGS = ("-h", "--help")
+
+
+def move_command_first(arguments: Sequence[str], commands: Container[str], meant: str = "") -> list[str]:
+    """Return the arguments with the command first, so that its parser reads all of them or rejects unknown ones.
+
+    Args:
+        arguments: arguments of the command line, in their original order.
+        commands: names of all commands.
+        meant: default command if no command is named; empty if there is no default.
+    """
+    before = ""
+    for number, argument in enumerate(arguments):
+        is_value = before.startswith("--") and "=" not in before and before not in SERVE_FLAGS
+        if argument in commands and not is_value:
+            return [argument, *arguments[:number], *arguments[number + 1 :]]
+        if argument in HELP_FLAGS:
+            break
+        before = argument
+    else:
+        if meant:
+            return [meant, *arguments]
+    return list(arguments)
 
 
 def progress_bar(over: float = 30.0) -> Progress:

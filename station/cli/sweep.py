@@ -74,8 +74,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
     from station.experiments.experiment import load_experiment
     from station.experiments.manifest import Manifest, folder_of
     from station.experiments.saved import use_saved
-    from station.experiments.sweep_plan import jobs, plan_of
-    from station.experiments.sweep_settings import settings
+    from station.experiments.sweep_plan import jobs, plan_of, settings
 
     if parsed.experiment == MERGE_WORD:
         return _merge(parsed)
@@ -111,8 +110,8 @@ def _sweep(parsed: argparse.Namespace) -> int:
 
 def _run_jobs(left: "Sequence[SweepJob]", planned: int, manifest: "Manifest", parsed: argparse.Namespace) -> None:
     """Execute the remaining runs on this computer or on a cluster, with a progress bar."""
+    from station.experiments.dask_cluster import on_dask
     from station.experiments.sweep import on_processes
-    from station.experiments.sweep_on_dask import on_dask
 
     if not left:
         return

@@ -3,6 +3,7 @@
 An error message names the file, the key, the value and what was expected. Values use SI units.
 """
 
+import json
 import math
 import os
 import re
@@ -14,7 +15,102 @@ from typing import Annotated, Any, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from core.errors import CtrError
-from station.config.toml_lines import line_of
+
+_TABLE = re.compile(r"\[(\[?)\s*([^\[\]]+?)\s*\]?\]\s*(?:#.*)?")
+_KEY = re.compile(r"\s*((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=(.*)")
+_PART = re.compile(r"[\w-]+|\"[^\"]*\"|'[^']*'")
+_STRING = re.compile(r"\"(?:\\.|[^\"\\])*\"|'[^']*'")
+
+#: Names of a key and of the tables around it, outermost first.
+KeyPath = tuple[str, ...]
+
+
+def line_of(text: str, *keys: str) -> int | None:
+    """Return the line, counted from 1, of the first of `keys` that is set (`devices.stages.port`, `tubes.0.name`).
+
+    If no key is set, return the line of the table that should contain one; None if the table is missing, too.
+    """
+    lines = _lines(text)
+    paths = [tuple(key.split(".")) for key in keys]
+    for short in range(max(map(len, paths), default=0)):
+        for path in paths:
+            if len(path) > short and path[: len(path) - short] in lines:
+                return lines[path[: len(path) - short]]
+    return None
+
+
+def _lines(text: str) -> dict[KeyPath, int]:
+    """Return the lines of all keys and tables; items of arrays of tables have numbers."""
+    found: dict[KeyPath, int] = {}
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    depth, quoted = 0, ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if quoted:
+            quoted = "" if quoted in line else quoted
+            continue
+        if depth == 0 and (header := _TABLE.fullmatch(line.strip())):
+            table = _numbered(_parts(header[2]), counts)
+            if header[1]:
+                counts[table] = counts.get(table, -1) + 1
+                found.setdefault(table, number)
+                table = (*table, str(counts[table]))
+            for length in range(1, len(table) + 1):
+                found.setdefault(table[:length], number)
+            continue
+        value = line
+        if depth == 0 and (key := _KEY.match(line)):
+            found.setdefault((*table, *_parts(key[1])), number)
+            value = key[2]
+        for mark in ('"""', "'''"):
+            if value.count(mark) % 2:
+                quoted = mark
+        bare = _STRING.sub("", value).split("#")[0]
+        depth = max(0, depth + bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}"))
+    return found
+
+
+def _parts(dotted: str) -> KeyPath:
+    return tuple(part.strip("\"'") for part in _PART.findall(dotted))
+
+
+def _numbered(path: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
+    """Return the path with item numbers; a table inside an array of tables belongs to the last item."""
+    result: KeyPath = ()
+    for part in path[:-1]:
+        result = (*result, part)
+        if result in counts:
+            result = (*result, str(counts[result]))
+    return (*result, path[-1])
+
+
+def toml_string(value: str) -> str:
+    """Return a TOML string on one line, escaped as in JSON; TOML forbids one more control character, DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_lines(table: Mapping[str, Any]) -> list[str]:
+    """Return a line for each key; values are texts, numbers, Booleans, lists or tables. Keys with None are left out."""
+    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
+
+
+def _value(value: Any) -> str:
+    match value:
+        case bool():
+            return str(value).lower()
+        case int() | float():
+            return repr(value)
+        case str():
+            return toml_string(value)
+        case Mapping():
+            return f"{{ {', '.join(toml_lines(value))} }}"
+        case Sequence() if value and isinstance(value[0], Sequence) and not isinstance(value[0], str):
+            rows = "".join(f"  {_value(row)},\n" for row in value)
+            return f"[\n{rows}]"
+        case Sequence():
+            return f"[{', '.join(map(_value, value))}]"
+        case _:
+            raise TypeError(f"{value!r} cannot be written to a TOML file")
 
 
 class ConfigError(CtrError):

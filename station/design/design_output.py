@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError
-from station.config.toml_text import toml_lines
+from station.config.strict import ConfigError, toml_lines
 from station.design.outcome import DesignResult
 
 NUMBERS_FILE, ROBOT_FILE = "design.json", "robot.toml"

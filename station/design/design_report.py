@@ -11,9 +11,9 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.design import page
-from station.design.candidates import CANDIDATES_FILE as KEPT
 from station.design.design_output import ROBOT_FILE, parameter_rows, rows, sentences
 from station.design.outcome import DesignResult, EvaluatedDesign
+from station.design.search import CANDIDATES_FILE as KEPT
 from station.design.search import IMPOSSIBLE_COST
 from station.design.study import largest
 from station.report import document, style

@@ -2,16 +2,65 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from core.errors import CtrError
+from core.model.cosserat import ExactRod, Rod
+from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.margins import Margins, check_design
-from station.design import candidates
-from station.design.candidates import Line
-from station.design.exact import ExactCheck, exact
-from station.design.study import Study, largest, unit
+from station.design.search import Line, best, parameters_of
+from station.design.study import Study, StudyTaskFile, largest, unit
 from station.design.task import HeldLoad, TaskResult, evaluate
+
+
+class ExactCheck(NamedTuple):
+    """Numbers of the exact rod at the joint positions that the evaluation has found with the sub-link model."""
+
+    distance: float  #: largest distance of the exact rod's tip from the task's points [m]
+    margin: float  #: smallest margin of stability of the exact rod [1]
+
+
+def exact(file: RobotFile, task: StudyTaskFile, held: HeldLoad) -> ExactCheck:
+    """Compute the exact rod at every point of a task under every force, and return the check.
+
+    Raises:
+        NoSolution: the exact rod has no solution at one of the points.
+
+    """
+    rod = ExactRod(file.robot())
+    distance, margin = 0.0, np.inf
+    for force, row in zip(held.load * np.array(task.forces), held.joints, strict=True):
+        at: Rod | None = None
+        for point, joints in zip(np.array(task.points), row, strict=True):
+            wrench: Array = np.concatenate((force, np.zeros(3)))
+            at = rod.solve(joints, wrench, at)
+            distance = max(distance, float(np.linalg.norm(at.tip - point)))
+            margin = min(margin, rod.stability(joints, wrench, at))
+    return ExactCheck(distance, margin)
+
+
+def dexterity(jacobian: Array, speed: Array) -> Array:
+    """Return the dexterity (k,) [m/s]: speed of the tip in its slowest direction while the joints move at full speed.
+
+    The dexterity is the smallest singular value of the position rows of J diag(speed). Scaling the Jacobian J with the
+    top speeds makes joints in radians and in metres comparable.
+
+    Args:
+        jacobian: Jacobians of the tip at k poses (k, 6, n) [m/rad or m/m].
+        speed: top speed of the joints (n,) [rad/s or m/s].
+
+    """
+    if jacobian.shape[2] < 3:
+        return np.zeros(len(jacobian))  # two joints cannot move the tip in all three directions
+    return np.asarray(np.linalg.svd(jacobian[:, :3] * speed, compute_uv=False)[:, 2], np.float64)
+
+
+def stiffness(compliance: Array) -> Array:
+    """Return the tip's stiffness in its softest direction at k poses (k,) [N/m], from compliances (k, 6, 6)."""
+    return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], np.float64)
 
 
 @dataclass(frozen=True)
@@ -36,7 +85,7 @@ class DesignResult:
 
 def design(study: Study, lines: Sequence[Line]) -> DesignResult:
     """Evaluate the start robot and the best candidate under growing loads and with the exact rod."""
-    found = candidates.best(lines)
+    found = best(lines)
     return DesignResult(study, lines, _evaluate(study, study.robot), _evaluate(study, named(study, found)))
 
 
@@ -48,7 +97,7 @@ def named(study: Study, line: Line) -> RobotFile:
 
     """
     file = study.changed(line["parameters"])
-    parameters = ", ".join(f"{key} = {value:.5g}" for key, value in candidates.parameters_of(study, line).items())
+    parameters = ", ".join(f"{key} = {value:.5g}" for key, value in parameters_of(study, line).items())
     source = f"'{study.robot.name}' with parameters found by 'ctr-station design {study.name}': {parameters}"
     return file.model_copy(update={"name": f"{study.robot.name}-{study.name}", "source": source})
 
@@ -80,7 +129,7 @@ def summary(found: DesignResult) -> dict[str, Any]:
         "title": study.file.title,
         "objective": study.file.objective,
         "candidates": len({tuple(line["parameters"]) for line in found.lines}),
-        "better": candidates.best(found.lines)["cost"] < found.lines[0]["cost"],
+        "better": best(found.lines)["cost"] < found.lines[0]["cost"],
         "before": before,
         "after": after,
         "gain": {
@@ -95,7 +144,7 @@ def summary(found: DesignResult) -> dict[str, Any]:
             }
             for parameter, was, now in zip(
                 study.file.parameters, study.start_parameters.tolist(),
-                candidates.best(found.lines)["parameters"], strict=True,
+                best(found.lines)["parameters"], strict=True,
             )
         ],
         "warning": check_design(found.after.file, Margins()),

@@ -5,8 +5,11 @@ candidates in the same order. So a search that was stopped reads the stored cand
 evaluates only the missing ones.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, Protocol
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from scipy.optimize import differential_evolution
@@ -14,9 +17,96 @@ from scipy.optimize import differential_evolution
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.design.candidates import Candidates, Line
+from station.config.strict import ConfigError
 from station.design.study import Objective, Study, StudyTaskFile
 from station.design.task import MAX_LOAD_RATIO, cost, evaluate
+from station.experiments.dask_cluster import cluster, run_on_cluster
+from station.experiments.job_pool import JobPool, run_serially
+from station.recording.line_store import KeptLines, complete_lines
+from station.recording.metadata import PACKAGES, versions
+
+CANDIDATES_FILE = "candidates.jsonl"
+#: Line of a candidate: its `parameters` (p,), its `cost`, and the numbers from which the cost was computed.
+Line = Mapping[str, Any]
+
+
+class Candidates:
+    """File with the candidates of one search, locked until it is closed."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        """Create the file, or continue an existing one.
+
+        Raises:
+            ConfigError: the folder has another study.
+            RecordingError: another process uses the folder, the file is invalid, or the disk is full.
+
+        """
+        self.path, self.lines = folder / CANDIDATES_FILE, dict[tuple[float, ...], Line]()
+        plan = plan_of(study)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = KeptLines(self.path, "searches in this folder")
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
+        try:
+            self._read(plan)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close and unlock the file."""
+        self._file.close()
+
+    def append(self, line: Line) -> None:
+        """Store an evaluated candidate as a line of the file.
+
+        Raises:
+            RecordingError: the line cannot be written.
+
+        """
+        self._file.append(line)
+        self.lines[tuple(line["parameters"])] = line
+
+    def _read(self, plan: Mapping[str, Any]) -> None:
+        kept, self._file.length = complete_lines(self.path, self.path.read_bytes())
+        try:
+            self.lines = {tuple(line["parameters"]): line for line in kept[1:] if line["cost"] is not None}
+        except (KeyError, TypeError):
+            raise ConfigError(f"{self.path}: not a list of candidates; repair it, or choose another folder") from None
+        if not kept:
+            self._file.append(plan)
+        elif kept[0] != plan:
+            names = ", ".join(name for name in plan if kept[0].get(name) != plan[name])
+            raise ConfigError(f"{self.path}: the folder has another search ({names} differ); choose another folder")
+
+
+def plan_of(study: Study) -> dict[str, Any]:
+    """Return everything that identifies a search, ready for JSON."""
+    found = versions()
+    robot = hashlib.sha256(study.robot.model_dump_json().encode()).hexdigest()
+    return {
+        "study": study.file.model_dump(mode="json"),
+        "robot": robot,
+        "versions": {name: found[name] for name in PACKAGES},
+    }
+
+
+def parameters_of(study: Study, line: Line) -> dict[str, float]:
+    """Return the parameters of a candidate by key of the robot's file."""
+    return dict(zip([each.key for each in study.file.parameters], line["parameters"], strict=True))
+
+
+def best(lines: Sequence[Line]) -> Line:
+    """Return the candidate with the smallest cost; if several have it, the first of them."""
+    return min(lines, key=lambda line: line["cost"])
+
 
 #: Cost of a candidate that is not a valid robot or fails; it is larger than the cost of any evaluated robot.
 IMPOSSIBLE_COST = 2e3
@@ -40,6 +130,48 @@ class SearchEngine(Protocol):
 
 class SearchStopped(CtrError):
     """Ctrl-C ended the search; all evaluated candidates are stored."""
+
+
+#: Reason in the line of a candidate whose evaluation ended every worker on which it was tried.
+WORKER_LOST = "its worker ended before the evaluation was done, repeatedly: too little memory?"
+
+
+@contextmanager
+def search_engine(jobs: int, scheduler: str | None, report: Callable[[str], None]) -> Iterator[SearchEngine]:
+    """Yield a search engine: `jobs` processes, or a Dask cluster at the address `scheduler` (`local`: `jobs` workers).
+
+    `report` receives a line with the address of the cluster.
+
+    Raises:
+        DaskError: no scheduler answers, or the scheduler is gone.
+        ProcessLost: a worker process was killed; repeating the same command continues the search.
+
+    """
+    if scheduler is not None:
+        with cluster(scheduler, jobs, report) as client:
+            yield lambda candidates, keep: run_on_cluster(client, evaluate_candidate, candidates, keep, _lost)
+    elif jobs == 1:
+        yield _local
+    else:
+        with JobPool(jobs) as started:
+
+            def on_processes(candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None:
+                started.carry_out(evaluate_candidate, candidates, lambda _: None, lambda line: _kept(line, keep))
+
+            yield on_processes
+
+
+def _local(candidates: Sequence[Candidate], keep: Callable[[Line], None]) -> None:
+    run_serially(evaluate_candidate, candidates, lambda _: None, lambda line: _kept(line, keep))
+
+
+def _kept(line: Line, keep: Callable[[Line], None]) -> bool:
+    keep(line)
+    return True
+
+
+def _lost(candidate: Candidate) -> Line:
+    return {"parameters": list(candidate.parameters), "cost": IMPOSSIBLE_COST, "why": WORKER_LOST}
 
 
 def evaluate_candidate(candidate: Candidate, progress: Callable[[float], None] = lambda _: None) -> Line:

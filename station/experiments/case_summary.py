@@ -2,14 +2,62 @@
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
+from scipy.optimize import least_squares
+
+from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.motions import JointSweepMotion, WaypointsMotion
 from station.config.robots import RobotFile
 from station.config.strict import Strict
 from station.config.units import format_quantity, unit_of_description
 from station.experiments.experiment import Case
+from station.lab.loads import Load
+
+
+class StepFit(NamedTuple):
+    """Parameters of the fitted response y(t) = 1 - exp(-rate (t - dead_time)), which is 0 before the dead time."""
+
+    rate: float  #: rate of the first-order lag [1/s]
+    dead_time: float  #: dead time before the response starts [s]
+
+
+def fit_step(times: Array, response: Array) -> StepFit:
+    """Return the least-squares fit of the response (m,) to a unit step at time 0, `times` (m,) [s]."""
+
+    def miss(parameters: Array) -> Array:
+        rate, dead_time = parameters
+        return -np.expm1(-rate * np.maximum(times - dead_time, 0.0)) - response
+
+    # The time at which the response reaches 63 % gives an initial rate of the right order of magnitude.
+    reached = float(times[np.argmax(response >= 1.0 - math.exp(-1.0))])
+    found = least_squares(miss, (1.0 / max(reached, 0.02), 0.02), bounds=((1e-3, 0.0), (1e3, 1.0)))
+    return StepFit(*map(float, found.x))
+
+
+def fold(times: Array, response: Array, stay: float) -> tuple[Array, Array]:
+    """Average the response to a square wave into one step response; a last, incomplete level is dropped.
+
+    `stay` is the time at each level of the square wave [s].
+    """
+    each = int(np.searchsorted(times, times[0] + stay - 1e-9))
+    stays = response[: len(response) // each * each].reshape(-1, each)
+    back = np.arange(len(stays)) % 2 == 1
+    return times[:each] - times[0], np.where(back[:, None], 1.0 - stays, stays).mean(axis=0)
+
+
+def load_windows(load: Load, duration: float) -> list[tuple[float, float]]:
+    """Return start and end of each part of a motion [s]; the first part starts when the load does, at its onset."""
+    return list(pairwise((*(time for time in load.changes if time < duration), duration)))
+
+
+def window_name(start: float) -> str:
+    """Return the name of a motion's part in a summary: the time of the load's change at its start, e.g. `2 s`."""
+    return f"{start:g} s"
+
 
 #: Keys of the table `[controller]` that the summary shows for the strategy `dual_layer`, which uses all of them.
 CONTROLLER_KEYS = ("inner", "feedback", "k1", "k2", "feedforward", "filter_bandwidth")

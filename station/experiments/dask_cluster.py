@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from uuid import uuid4
 
 from core.errors import CtrError
-from station.experiments.interrupt import interrupts
-from station.experiments.job_pool import PROGRESS_INTERVAL_S
+from station.experiments.job_pool import PROGRESS_INTERVAL_S, interrupts
+from station.experiments.manifest import Row
+from station.experiments.sweep import failed, run_job
+from station.experiments.sweep_plan import SweepJob
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -181,3 +183,36 @@ def _run_job(work: Callable[[Any], Any], job: Any) -> Any:
     """Carry out a job on a worker; a lock allows one job at a time, however many threads the worker has."""
     with _ONE:
         return work(job)
+
+
+#: Cause in the row of a run that ended every worker on which it was tried.
+WORKER_LOST = "its worker ended before the run was done, repeatedly and also without another run: too little memory?"
+
+
+def on_dask(
+    listed: Sequence[SweepJob],
+    scheduler: str,
+    workers: int,
+    keep: Callable[[Row], None],
+    report_done: Callable[[float], None],
+    report: Callable[[str], None],
+) -> None:
+    """Carry out the runs of a sweep on a Dask cluster until all are done, or until Ctrl-C.
+
+    Args:
+        listed: the runs.
+        scheduler: address of the scheduler, or `LOCAL`.
+        workers: number of local worker processes.
+        keep: receives the row of each finished run.
+        report_done: receives the number of finished runs.
+        report: receives a line with the address and the dashboard of the cluster.
+
+    Raises:
+        DaskError: no scheduler answers, the scheduler is gone, or its workers cannot carry out runs.
+    """
+    with cluster(scheduler, workers, report) as client:
+        run_on_cluster(client, _run_without_progress, listed, keep, lambda job: failed(job, WORKER_LOST), report_done)
+
+
+def _run_without_progress(job: SweepJob) -> Row:
+    return run_job(job, lambda _: None)

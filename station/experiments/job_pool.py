@@ -3,6 +3,7 @@
 Jobs share no state, so the results are the same as those of a serial run.
 """
 
+import math
 import os
 import signal
 import threading
@@ -13,9 +14,54 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, Self, TypeVar, cast
 
+import numpy as np
+
+from core.control.command import command
+from core.control.trajectories import Setpoint
 from core.errors import CtrError
-from station.experiments.interrupt import interrupts
+from core.model.solution import at_rest
+from station.config.controllers import ControllerFile
+from station.config.robots import load_robot
+from station.lab.config import LabConfig
+from station.lab.virtual_bench import virtual_bench
 from station.threads import one_thread_during
+
+
+@contextmanager
+def interrupts() -> Iterator[Callable[[], bool]]:
+    """Return a function that reports whether Ctrl-C was pressed; a second press raises KeyboardInterrupt."""
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False  # Python delivers signals to the main thread only
+        return
+    pressed = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(_number: int, _frame: object) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def warm_up() -> None:
+    """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code."""
+    robot = load_robot("paper")
+    joints = np.array([0.0, 0.5 * math.pi, -0.1])
+    controller = ControllerFile().controller(robot)
+    rest = at_rest(joints, math.inf, len(robot.tubes))
+    estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
+    bench = virtual_bench(robot, LabConfig(), 0, joints)
+    bench.lab.advance(0.0)
+    bench.devices.sensors.connect(0.0)
+    bench.lab.advance(0.01)
+    bench.devices.sensors.poll(0.01)
+    zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
+    command(controller.strategy, controller.feedback, controller.limits, joints, estimate, zero, still, zero, zero)
+
 
 #: Time between two progress reports of the jobs [s].
 PROGRESS_INTERVAL_S = 0.2

@@ -9,10 +9,8 @@ from core.robot.limits import TubeOrder
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.config.motions import StepMotion
-from station.experiments.case_summary import model_note
-from station.experiments.load_windows import load_windows, window_name
+from station.experiments.case_summary import fit_step, fold, load_windows, model_note, window_name
 from station.experiments.runner import Recording
-from station.experiments.step_fit import fit_step, fold
 from station.recording.saturation import limited_parts, saturation_warning
 from station.recording.tracking_errors import desired, errors, frame_errors, largest_force, rms, rounded
 

@@ -17,7 +17,7 @@ from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case
-from station.experiments.interrupt import interrupts
+from station.experiments.job_pool import interrupts
 from station.lab.virtual_bench import virtual_bench
 
 #: Longest time to wait until the devices are connected and the station is READY [s].

@@ -19,9 +19,9 @@ from station.config.strict import (
     ConfigError,
     Strict,
     preset_names,
+    toml_lines,
     use_experiments,
 )
-from station.config.toml_text import toml_lines
 from station.experiments.experiment import load_experiment
 from station.recording.tracking_errors import settling_time
 

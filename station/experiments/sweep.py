@@ -1,6 +1,6 @@
 """Sweep: one experiment is run with many seeds, and with several values for the keys of its file.
 
-Every run carries out a case in virtual time. Local processes, a Dask cluster (`sweep_on_dask.py`) and the command `run`
+Every run carries out a case in virtual time. Local processes, a Dask cluster (`dask_cluster.py`) and the command `run`
 with the same seed give the same results, bit for bit.
 """
 

@@ -8,16 +8,56 @@ from typing import Any, Literal, Protocol
 
 import gymnasium
 import numpy as np
+from gymnasium.spaces import Box
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
-from core.robot.robot import Array
+from core.model.statics import Statics
+from core.robot.robot import Array, Robot
 from station.gym import REACH_STEPS, TRACK_STEPS
 from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
-from station.gym.picture import Pixels, picture
 from station.gym.reach import Reach
 from station.gym.track import Track
+
+
+class Actions(Box):
+    """Gymnasium `Box` with a faster method `sample`, which is possible because all bounds are finite."""
+
+    def __init__(self, joints: int) -> None:
+        super().__init__(-1.0, 1.0, (joints,), dtype=np.float64)
+
+    def sample(self, mask: None = None, probability: None = None) -> Array:
+        """Return a random action, bit for bit the action that `Box.sample` would return.
+
+        `Box.sample` takes as long as two solutions of the model.
+        """
+        if mask is not None or probability is not None:
+            return super().sample(mask, probability)  # `Box.sample` refuses these arguments and gives the reason
+        return 2.0 * self.np_random.random(self.shape) - 1.0
+
+
+#: Width and height of a picture [pixels].
+IMAGE_PX = 480
+Pixels = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+
+
+def picture(robot: Robot, joints: Array, wrench: Array, tip: Array, marks: Array) -> Pixels:
+    """Return a picture (IMAGE_PX, IMAGE_PX, 3) of the loaded model's shape, the tip and the points `marks` (m, 3)."""
+    model = Statics(robot)
+    line = 1e3 * model.shape(model.solve(joints, wrench))[:, 10:13]
+    figure = Figure((IMAGE_PX / 100, IMAGE_PX / 100), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_subplot(projection="3d")
+    axes.plot(*line.T, color="#3b6ea5", linewidth=3)
+    axes.plot(*(1e3 * marks.T), color="#c2571a", marker="o" if len(marks) == 1 else None)
+    axes.scatter(*(1e3 * tip), color="black", s=18)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    axes.set_aspect("equal")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3].copy()
 
 
 class EnvironmentTask(Protocol):

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from core.robot.robot import Array
-from station.experiments.step_fit import fit_step, fold
+from station.experiments.case_summary import fit_step, fold
 from station.report import style
 from station.report.figure import ReportFigure
 from station.report.run import RecordedCase, RecordedRun

@@ -19,7 +19,7 @@ from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import HEARTBEAT
 from station.control.states import State
-from tests.harness.kill_recordings import Feed
+from tests.tools.kill_recordings import Feed
 from web.access.tokens import Tokens
 from web.gateway.messages import GatewayReady, GatewaySetup
 from web.gateway.options import GatewayOptions, ListenAddress

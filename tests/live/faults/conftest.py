@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from tests.harness.calm import CLOCK
-from tests.harness.kill_stations import back
 from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.watched_lab import WatchedLab
+from tests.tools.kill_stations import back
 
 
 @pytest.fixture(scope="package")

@@ -3,9 +3,9 @@
 Otherwise the run continues; `tests/live/web/api` tests that.
 """
 
-from tests.harness.kill_stations import until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
+from tests.tools.kill_stations import until_moving
 
 
 def test_run_ends_in_hold_after_the_operator_disconnects_if_so_configured(mortal: LoneStation) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from station.recording.read import read_case
 from station.recording.run_outcome import RunOutcome
-from tests.harness.kill_stations import back, kill, until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
 from tests.harness.watched_lab import WatchedLab
+from tests.tools.kill_stations import back, kill, until_moving
 
 
 def label(recordings: Path, run: str) -> RunOutcome:

@@ -16,9 +16,9 @@ from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.service.live_recording import LiveRecording
 from tests.harness.calm import CLOCK
-from tests.harness.kill_stations import until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
+from tests.tools.kill_stations import until_moving
 
 
 def test_recording_larger_than_the_free_space_is_refused_before_the_run(paper) -> None:

@@ -14,10 +14,10 @@ import psutil
 import pytest
 from websockets.sync.client import connect
 
-from tests.harness.random_orders import RandomOrders
 from tests.harness.serving import Served
 from tests.harness.slow_client import SLOW, slow_client
 from tests.harness.waiting import until
+from tests.tools.random_orders import RandomOrders
 
 FAR = {"joints": {"outer_rotation": -2.5, "inner_rotation": 2.5, "inner_translation": -0.02}}
 CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}

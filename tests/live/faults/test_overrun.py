@@ -15,9 +15,9 @@ from station.control.overruns import OverrunLimits, Overruns
 from station.devices.interfaces import Severity
 from station.recording.read import read_case
 from tests.harness.calm import CLOCK
-from tests.harness.kill_stations import until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
+from tests.tools.kill_stations import until_moving
 
 
 class Report(NamedTuple):

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from station.recording.read import read_case
 from station.recording.run_outcome import RunOutcome
-from tests.harness.kill_stations import back, until_moving
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until
+from tests.tools.kill_stations import back, until_moving
 
 
 def test_reset_restarts_a_recorder_that_was_killed_between_two_runs(mortal: LoneStation) -> None:

@@ -13,11 +13,11 @@ from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_outcome import RunOutcome
 from tests.harness.calm import CLOCK
-from tests.harness.kill_stations import kill, until_moving
 from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.serving import shared_memory
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
+from tests.tools.kill_stations import kill, until_moving
 
 
 def test_control_process_stops_the_stages_of_a_killed_station_and_the_next_start_recovers_the_run(

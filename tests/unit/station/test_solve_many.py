@@ -1,4 +1,4 @@
-"""`solve_many` solves the model at many poses on all processors; `tests.harness.many_rows` checks more poses."""
+"""`solve_many` solves the model at many poses on all processors; `tests.tools.many_rows` checks more poses."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from core.model import batch
 from core.model.statics import Statics
 from station.benchmarks.bench import random_rows
 from station.solve_many import solve_many
-from tests.harness.many_rows import checked
+from tests.tools.many_rows import checked
 
 
 @pytest.mark.parametrize("near", [False, True])

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from tests.harness.calm import CLOCK
-from tests.harness.kill_stations import back
 from tests.harness.lone_station import lone_station
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
+from tests.tools.kill_stations import back
 
 
 class Box:

@@ -13,8 +13,7 @@ import pytest
 
 from station.experiments.manifest import Row
 from station.experiments.sweep import on_processes
-from station.experiments.sweep_plan import jobs
-from station.experiments.sweep_settings import settings
+from station.experiments.sweep_plan import jobs, settings
 from tests.harness.waiting import NET, until
 
 

@@ -9,9 +9,9 @@ import sys
 import psutil
 import pytest
 
-from tests.harness.killed_sweep import Figures, cluster, killed_sweep, rows, sweep_command, wait_for_rows, without_clock
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
+from tests.tools.killed_sweep import Figures, cluster, killed_sweep, rows, sweep_command, wait_for_rows, without_clock
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="the extra dask is not installed"

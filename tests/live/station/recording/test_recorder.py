@@ -21,8 +21,8 @@ from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
-from tests.harness.kill_recordings import PERIOD, Feed, kill_recorder
 from tests.harness.waiting import until
+from tests.tools.kill_recordings import PERIOD, Feed, kill_recorder
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ import sys, time
 from pathlib import Path
 from station.recording.recorder import Recorder
 from station.config.robots import load_robot
-from tests.harness.kill_recordings import Feed
+from tests.tools.kill_recordings import Feed
 
 if __name__ == "__main__":
     robot = load_robot("paper")

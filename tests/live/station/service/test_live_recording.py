@@ -12,8 +12,8 @@ from station.control.states import State
 from station.recording.read import read_case
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.service.live_recording import LiveRecording
-from tests.harness.kill_recordings import Feed
 from tests.harness.waiting import until
+from tests.tools.kill_recordings import Feed
 
 
 def test_start_of_a_run_waits_for_the_recorder_only_until_its_deadline(tmp_path: Path) -> None:

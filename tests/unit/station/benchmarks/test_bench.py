@@ -5,6 +5,7 @@ import io
 from rich.console import Console
 
 from station.benchmarks import bench
+from station.benchmarks.bench import VECTOR_EPISODES, gym
 
 
 def test_model_benchmark_reports_times_and_the_distance_from_the_exact_rod():
@@ -32,3 +33,14 @@ def test_benchmark_table_shows_every_figure():
 
     for shown in ("bench model", "solve_us median", "7.25", "solve_us p99", "9.5", "passes", "1.5"):
         assert shown in text.getvalue()
+
+
+def test_gym_benchmark_steps_single_and_vector_environments():
+    result = gym(seconds=0.05)
+
+    assert list(result) == ["CtrReach-v0", "CtrTrack-v0"]
+    for rates in result.values():
+        assert list(rates) == ["single", f"{VECTOR_EPISODES} at once"]
+        for rate in rates.values():
+            assert rate["per_s"] > 0
+            assert rate["per_core_and_s"] > 0

@@ -1,5 +1,6 @@
 """An invalid configuration is refused in one line with file, key, value and what was expected."""
 
+import tomllib
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
@@ -18,10 +19,12 @@ from station.config.strict import (
     Strict,
     Vector,
     check,
+    line_of,
     merged,
     preset,
     preset_names,
     read_toml,
+    toml_lines,
     use_experiments,
 )
 
@@ -244,3 +247,75 @@ def test_merging_replaces_a_whole_table_if_its_kind_differs():
     assert merged(base, {"load": {"kind": "constant", "magnitude": 1.0}})["load"]["direction"] == [0, 0, 1]
     assert merged(base, {"load": {"magnitude": 1.0}})["load"]["kind"] == "constant"
     assert merged(base, {"load": 3}) == {"load": 3}
+
+
+TEXT = '''# a comment with key = 1
+title = "x = [ { "
+joints.outer.lower = 1
+points = [
+    [0, 1],  # ]
+]
+note = """
+lower = 5
+"""
+[devices.stages]
+port = "/dev/ttyUSB0"
+"odd.name" = 1
+[[tubes]]
+name = "a"
+[[tubes.sections]]
+length = 1
+[[tubes.sections]]
+length = 2
+[[tubes]]
+name = "b"
+[tubes.inner]
+deep = { x = 1 }
+'''
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("title", 2),
+        ("joints.outer.lower", 3),
+        ("points.0.1", 4),
+        ("devices.stages.port", 11),
+        ("devices.stages.missing", 10),
+        ("tubes.0.name", 14),
+        ("tubes.0.sections.1.length", 18),
+        ("tubes.1.name", 20),
+        ("tubes.1.inner.deep.x", 22),
+        ("lower", None),
+        ("key", None),
+        ("nothing.at.all", None),
+    ],
+)
+def test_line_number_of_a_toml_key_is_found(key: str, line: int | None) -> None:
+    assert line_of(TEXT, key) == line
+
+
+@pytest.mark.parametrize("text", ["", "[", "[[", "=", "a = ", '"""', "[a]]\n= 3", "x = '''\n", "\x00\n[[]]\n"])
+def test_line_numbers_of_any_text_are_determined_without_error(text: str) -> None:
+    assert line_of(text, "a.b") is None or text.startswith(("a", "[a"))
+
+
+TABLE = {
+    "text": 'a "quoted" \\ line\nand µ\x7f\x00',
+    "truth": True,
+    "count": 3,
+    "number": 1e-7,
+    "large": 1e300,
+    "list": [1.0, -2.5],
+    "rows": [[0.0, 1.0], [2.0, 3.0]],
+    "empty": [],
+    "table": {"inner_rotation": 1.5, "no": False},
+}
+
+
+def test_every_kind_of_value_written_as_toml_is_read_back() -> None:
+    assert tomllib.loads("\n".join(toml_lines(TABLE))) == TABLE
+
+
+def test_keys_with_the_value_none_are_not_written_as_toml() -> None:
+    assert toml_lines({"stay": None, "offset": 1.0}) == ["offset = 1.0"]

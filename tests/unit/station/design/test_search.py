@@ -5,8 +5,7 @@ import json
 import pytest
 
 from station.config.strict import ConfigError
-from station.design.candidates import Candidates
-from station.design.search import SearchStopped, planned, search
+from station.design.search import Candidates, SearchStopped, planned, search
 from station.design.study import load_study
 from station.recording.run_outcome import RecordingError
 

@@ -5,7 +5,7 @@ import pytest
 
 from core.model.statics import Statics
 from station.config.robots import load_robot
-from station.design.exact import exact
+from station.design.outcome import exact
 from station.design.study import load_study
 from station.design.task import cost, evaluate
 

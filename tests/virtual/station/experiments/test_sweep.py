@@ -12,8 +12,7 @@ from station.experiments.experiment import load_experiment
 from station.experiments.manifest import Row
 from station.experiments.results import summarise
 from station.experiments.sweep import on_processes, run_job, spreads, sweep_summary
-from station.experiments.sweep_plan import SweepJob, jobs, plan_of
-from station.experiments.sweep_settings import nested, settings
+from station.experiments.sweep_plan import SweepJob, jobs, nested, plan_of, settings
 from station.recording.metadata import versions
 from tests.harness.cases import a_run
 

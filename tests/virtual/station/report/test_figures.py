@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from station.experiments.step_fit import fit_step
+from station.experiments.case_summary import fit_step
 from station.recording.read import CaseRecording, read_case
 from station.report import deflection, force, model, overview, rates, steps, strategies, style, timing, tracking
 from station.report.facts import head, origin

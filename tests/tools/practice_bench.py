@@ -1,6 +1,6 @@
 """Run homing, a circle and calibrations on a practice bench as docs/student.md describes it, with its page open.
 
-    python -m tests.harness.practice_bench [--times N] [--pages N] [--calibrate latency tracker] [--tcp]
+    python -m tests.tools.practice_bench [--times N] [--pages N] [--calibrate latency tracker] [--tcp]
 
 The output is one JSON line per step: the state after the step, the cause of a HOLD or FAULT, and the computer's load.
 """
@@ -142,7 +142,7 @@ def practise(options: argparse.Namespace) -> bool:
 
 def main() -> None:
     """Practise as often as the option `--times` specifies."""
-    parser = argparse.ArgumentParser(prog="python -m tests.harness.practice_bench")
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.practice_bench")
     parser.add_argument("--times", type=int, default=1)
     parser.add_argument("--pages", type=int, default=1, help="browser pages that draw the station")
     parser.add_argument("--tcp", action="store_true", help="TCP lines instead of pseudo-terminals")

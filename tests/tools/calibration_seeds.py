@@ -1,6 +1,6 @@
 """Measure the accuracy of the calibration over many seeds of an uncalibrated bench.
 
-`python -m tests.harness.calibration_seeds [--seeds N] [--first K] [--distortion MM] [--no-runs]`
+`python -m tests.tools.calibration_seeds [--seeds N] [--first K] [--distortion MM] [--no-runs]`
 
 For each seed a lab is drawn from the preset `uncalibrated`: the tubes differ by up to 8 %, and tracker, coil, sensors
 and zeros are unknown. The lab is calibrated from its devices' readings, and the result is compared with the hidden
@@ -144,7 +144,7 @@ def one(seed: int, distortion: float, with_runs: bool) -> dict[str, object]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m tests.harness.calibration_seeds", description=__doc__.splitlines()[0]
+        prog="python -m tests.tools.calibration_seeds", description=__doc__.splitlines()[0]
     )
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0)

@@ -3,7 +3,7 @@
 import pytest
 
 from station.config.strict import ConfigError
-from station.experiments.sweep_settings import nested, settings
+from station.experiments.sweep_plan import nested, settings
 
 
 def test_sweep_settings_combine_all_values_in_the_given_order():

@@ -1,6 +1,6 @@
 """Run one circle for hours of virtual time while the force sensors drift.
 
-`python -m tests.harness.long_drift [--hours 8] [--lab realistic] [--seed 31]` prints one line per 30 minutes: the
+`python -m tests.tools.long_drift [--hours 8] [--lab realistic] [--seed 31]` prints one line per 30 minutes: the
 state, the largest true distance of the tip in that time, the filtered force, the resident memory, and the cause of a
 HOLD or STOP. Eight hours take about 80 minutes of one processor.
 """

@@ -1,6 +1,6 @@
 """Compare a circle that a script streams with the same circle as a trajectory, on a live station.
 
-`python -m tests.harness.streamed_circles [--seconds S]`
+`python -m tests.tools.streamed_circles [--seconds S]`
 
 The station runs in real time. A script streams setpoints at 10 Hz with a tenth of them lost, and at 50, 100 and 500 Hz.
 For each rate the output has the distance of the true tip from its setpoint [mm], RMS and largest, and the rate that was
@@ -90,7 +90,7 @@ def streamed(station: ServedStation, rows: Rows, seconds: float, rate: float, lo
 
 def main() -> None:
     """Measure every run and print a JSON line for each."""
-    parser = argparse.ArgumentParser(prog="python -m tests.harness.streamed_circles")
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.streamed_circles")
     parser.add_argument("--seconds", type=float, default=TURN)
     seconds, file = parser.parse_args().seconds, load_robot("paper")
     with (

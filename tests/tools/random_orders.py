@@ -1,6 +1,6 @@
 """Send start, goto, STOP and reset in random order to a live station, and disconnect clients at random.
 
-`python -m tests.harness.random_orders 200 [SEED]` counts the motions that no valid command requested. Counters of the
+`python -m tests.tools.random_orders 200 [SEED]` counts the motions that no valid command requested. Counters of the
 control process in shared memory show which run it has started last. The control process writes them before it
 acknowledges a STOP, so the check does not depend on answers or clocks.
 """

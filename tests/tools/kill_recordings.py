@@ -1,4 +1,4 @@
-"""Kill processes at random times and check the recordings: `python -m tests.harness.kill_recordings VICTIM 20 [SEED]`.
+"""Kill processes at random times and check the recordings: `python -m tests.tools.kill_recordings VICTIM 20 [SEED]`.
 
 With VICTIM `recorder`, a telemetry ring is written at 500 Hz, and a real recorder process copies it and is killed with
 SIGKILL. The recovered rows are compared bit for bit with the written rows. With `control`, `station` or `all`, one

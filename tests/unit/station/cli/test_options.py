@@ -2,8 +2,8 @@
 
 import pytest
 
-from station.cli.default_command import move_command_first
 from station.cli.main import main, parser
+from station.cli.options import move_command_first
 
 COMMANDS = ("run", "report", "serve")
 

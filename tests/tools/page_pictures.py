@@ -1,4 +1,4 @@
-"""Take the pictures of the page for the documents: `python -m tests.harness.page_pictures web/pictures [NAME ...]`.
+"""Take the pictures of the page for the documents: `python -m tests.tools.page_pictures web/pictures [NAME ...]`.
 
 Without a name the program takes all pictures of `web/README.md`; `... page_pictures web/static panel` takes the
 picture of the main README.

@@ -1,6 +1,6 @@
 """Measure the controller over seeds of the lab, for example with and without the use of moments.
 
-`python -m tests.harness.force_before_after NAME... [--seeds 31 32 ...] [--keep FOLDER] [--jobs N]`
+`python -m tests.tools.force_before_after NAME... [--seeds 31 32 ...] [--keep FOLDER] [--jobs N]`
 
 The output is one line per run with the largest and the RMS true distance of the tip, then a table. NAME is `fig8`,
 `fig10`, `ramps`, `quick`, `shaft` or `moving`; the prefix `LAB:` selects another lab than `realistic`. The option

@@ -1,4 +1,4 @@
-"""Measure the time from a press of STOP to the stop bytes: `python -m tests.harness.stop_latency [PRESSES]`.
+"""Measure the time from a press of STOP to the stop bytes: `python -m tests.tools.stop_latency [PRESSES]`.
 
 STOP is pressed on a real page in Chromium during a run, while five viewers watch. Each viewer is a separate process
 that receives the scene, the telemetry and the status, as a page does. The station drives the devices of

@@ -1,6 +1,6 @@
 """Measure the punctuality of the control loop while browsers or gateway clients use the station.
 
-    python -m tests.harness.loop_beside [nothing] [page] [gateway] [--seconds S] [--times N] [--config FILE]
+    python -m tests.tools.loop_beside [nothing] [page] [gateway] [--seconds S] [--times N] [--config FILE]
 
 `ctr-station bench loop` runs only the control process, the lab and the recorder. Here the web server shares their
 processors; `page` adds a Chromium that draws the page, and `gateway` adds all four protocols with two clients each.
@@ -144,7 +144,7 @@ def _over(figure: dict[str, float], other: dict[str, float]) -> dict[str, float]
 
 def main() -> None:
     """Measure each setup and print the control loop's timing as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m tests.harness.loop_beside")
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.loop_beside")
     parser.add_argument("beside", nargs="+", choices=list(BESIDE))
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--times", type=int, default=1, help="stations of each, in turns")

@@ -1,4 +1,4 @@
-"""Run a sweep on a Dask cluster that loses a worker and its client: `python -m tests.harness.killed_sweep 200`.
+"""Run a sweep on a Dask cluster that loses a worker and its client: `python -m tests.tools.killed_sweep 200`.
 
 The cluster is a scheduler and two workers, real processes on this computer. After a third of the runs one worker is
 killed for good. After two thirds the client is killed, and the same command is started again. The result is compared

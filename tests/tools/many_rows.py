@@ -1,6 +1,6 @@
 """Solve millions of random poses in batches, and compare a sample with the exact rod model.
 
-    python -m tests.harness.many_rows [--rows N] [--sample N] [--seed N] [--near]
+    python -m tests.tools.many_rows [--rows N] [--sample N] [--seed N] [--near]
 
 The poses cover the travel of the paper's robot, with forces up to 0.6 N in any direction. A solution is wrong if its
 tip is further than 0.15 mm from the tip of the exact rod. The exact rod is first solved directly; if the tips differ,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from station.experiments.interrupt import interrupts
+from station.experiments.job_pool import interrupts
 
 
 @pytest.fixture

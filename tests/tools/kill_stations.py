@@ -1,4 +1,4 @@
-"""Kill the station's processes at random times: `python -m tests.harness.kill_stations 20 [SEED [WHOM ...]]`.
+"""Kill the station's processes at random times: `python -m tests.tools.kill_stations 20 [SEED [WHOM ...]]`.
 
 Each time, one process is killed with SIGKILL during a run. The measured time ends when every stage has received a
 command to stop, at the device's end of the line.

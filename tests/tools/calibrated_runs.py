@@ -1,6 +1,6 @@
 """Measure the controller's errors in a virtual lab that the station has calibrated by itself.
 
-`python -m tests.harness.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D] [--load-rate]`
+`python -m tests.tools.calibrated_runs [--lab realistic] [--seeds N] [--first K] [--density D] [--load-rate]`
 
 For each seed the bench is calibrated at rest (procedure `tubes`), and the experiments use this calibration with devices
 that are simulated at wire level. `--density` gives the lab's tubes another density [kg/m^3] than the robot file has, so
@@ -28,7 +28,7 @@ from station.experiments.results import summarise
 from station.experiments.runner import run_case
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import load_lab
-from tests.harness.calibration_seeds import calibrated
+from tests.tools.calibration_seeds import calibrated
 
 #: Load of a weight that is lowered by hand within 1.5 s and taken off within 1.5 s.
 BY_HAND = {"kind": "ramps", "times": [5.0, 6.5, 15.0, 16.5], "magnitudes": [0.0, 0.5, 0.5, 0.0]}
@@ -72,9 +72,7 @@ def _of_density(lab: str, density: float | None, file: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.harness.calibrated_runs", description=__doc__.splitlines()[0]
-    )
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.calibrated_runs", description=__doc__.splitlines()[0])
     parser.add_argument("--lab", default="realistic")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
