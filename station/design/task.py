@@ -20,13 +20,26 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
-from station.design.outcome import dexterity, stiffness
 from station.design.study import Objective, StudyTaskFile
 from station.solve_many import solve_many
 
 #: Largest number of joint positions that are drawn for each requested pose. If a robot needs more, almost no pose is
 #: valid, and the robot is refused.
 MAX_DRAWS = 1000
+#: Number of compared start poses. From the poses with the tip nearest to the first point of the task, a path to this
+#: point is computed; the second constant is their largest number.
+START_POSES, MAX_WALKS = 96, 6
+#: Two poses count as equal if each joint moves from one to the other in at most this time at full speed [s].
+SAME_POSE_S = 1e-2
+#: Largest motion of the tip in a step of a path [m]; largest motion of a joint, as its duration at full speed [s].
+MAX_TIP_STEP_M, MAX_JOINT_STEP_S = 0.01, 0.5
+#: Largest number of steps to a point of the task. The steps end when the distance of the tip from the point is at most
+#: the second constant times the tolerance of the task.
+MAX_STEPS, ARRIVAL_SHARE = 60, 0.1
+#: First step in which the load grows, and largest load, both as multiples of the forces of the task.
+LOAD_STEP_SHARE, MAX_LOAD_RATIO = 0.25, 20.0
+#: Smallest step of the load, as a multiple of the forces of the task; it is the resolution of the largest load.
+LOAD_RESOLUTION = 0.01
 
 
 def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
@@ -59,20 +72,25 @@ def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
     return np.concatenate(found)
 
 
-#: Number of compared start poses. From the poses with the tip nearest to the first point of the task, a path to this
-#: point is computed; the second constant is their largest number.
-START_POSES, MAX_WALKS = 96, 6
-#: Two poses count as equal if each joint moves from one to the other in at most this time at full speed [s].
-SAME_POSE_S = 1e-2
-#: Largest motion of the tip in a step of a path [m]; largest motion of a joint, as its duration at full speed [s].
-MAX_TIP_STEP_M, MAX_JOINT_STEP_S = 0.01, 0.5
-#: Largest number of steps to a point of the task. The steps end when the distance of the tip from the point is at most
-#: the second constant times the tolerance of the task.
-MAX_STEPS, ARRIVAL_SHARE = 60, 0.1
-#: First step in which the load grows, and largest load, both as multiples of the forces of the task.
-LOAD_STEP_SHARE, MAX_LOAD_RATIO = 0.25, 20.0
-#: Smallest step of the load, as a multiple of the forces of the task; it is the resolution of the largest load.
-LOAD_RESOLUTION = 0.01
+def dexterity(jacobian: Array, speed: Array) -> Array:
+    """Return the dexterity (k,) [m/s]: speed of the tip in its slowest direction while the joints move at full speed.
+
+    The dexterity is the smallest singular value of the position rows of J diag(speed). Scaling the Jacobian J with the
+    top speeds makes joints in radians and in metres comparable.
+
+    Args:
+        jacobian: Jacobians of the tip at k poses (k, 6, n) [m/rad or m/m].
+        speed: top speed of the joints (n,) [rad/s or m/s].
+
+    """
+    if jacobian.shape[2] < 3:
+        return np.zeros(len(jacobian))  # two joints cannot move the tip in all three directions
+    return np.asarray(np.linalg.svd(jacobian[:, :3] * speed, compute_uv=False)[:, 2], np.float64)
+
+
+def stiffness(compliance: Array) -> Array:
+    """Return the tip's stiffness in its softest direction at k poses (k,) [N/m], from compliances (k, 6, 6)."""
+    return 1.0 / np.asarray(np.linalg.svd(compliance[:, :3, :3], compute_uv=False)[:, 0], np.float64)
 
 
 class HeldLoad(NamedTuple):

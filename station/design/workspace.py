@@ -11,8 +11,7 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.margins import Margins
-from station.design.outcome import dexterity, stiffness
-from station.design.task import spread_poses
+from station.design.task import dexterity, spread_poses, stiffness
 from station.solve_many import solve_many
 
 #: Number of poses between two progress reports.

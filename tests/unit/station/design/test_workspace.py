@@ -11,8 +11,7 @@ from core.model.statics import Statics
 from station.cli.main import main
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
-from station.design.outcome import dexterity, stiffness
-from station.design.task import spread_poses
+from station.design.task import dexterity, spread_poses, stiffness
 
 FORCE = np.array([0.3, 0.0, 0.1, 0.0, 0.0, 0.0])
 
