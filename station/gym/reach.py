@@ -8,8 +8,7 @@ from gymnasium.spaces import Box, Dict
 from core.compiled import compiled
 from core.errors import NoSolution
 from core.robot.robot import Array
-from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
-from station.gym.environments import Actions
+from station.gym.bodies import Actions, Bools, EpisodeSettings, RobotBatch
 
 #: Largest number of random pairs of start and goal that are drawn. If none is valid, the load is too large.
 MAX_DRAWS = 100

@@ -10,8 +10,7 @@ from core.model.statics import Statics
 from core.robot.robot import Array, Indices
 from station.config.strict import ConfigError
 from station.gym import TRACK_STEPS
-from station.gym.bodies import Bools, EpisodeSettings, RobotBatch
-from station.gym.environments import Actions
+from station.gym.bodies import Actions, Bools, EpisodeSettings, RobotBatch
 from station.gym.reach import MAX_DRAWS
 
 #: Largest fraction of the joints' top speed that a path requires from the unloaded robot of the robot file.

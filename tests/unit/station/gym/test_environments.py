@@ -16,8 +16,8 @@ from core.model.statics import Statics
 from core.robot.limits import TubeOrder
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
-from station.gym.bodies import EpisodeSettings, RobotBatch
-from station.gym.environments import Actions, ReachEnv, ReachVectorEnv, TrackEnv, TrackVectorEnv
+from station.gym.bodies import Actions, EpisodeSettings, RobotBatch
+from station.gym.environments import ReachEnv, ReachVectorEnv, TrackEnv, TrackVectorEnv
 
 NAMES = ("station.gym:CtrReach-v0", "station.gym:CtrTrack-v0")
 HIDDEN = {"load": 0.3, "tube_error": 0.1}
