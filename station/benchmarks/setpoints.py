@@ -30,8 +30,7 @@ from station.control.ring import MISSED, RUN, Ring
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.zaber.protocol import MESSAGE_BYTES, MESSAGE_TIME_S, SPEED_UNIT, ZaberCommand, alias_number, decode
-from station.lab.endpoints import devices_at
-from station.lab.lab_server import PRIORITY, LabServer
+from station.lab.lab_server import PRIORITY, LabServer, devices_at
 from station.service.rig import Rig
 from station.service.station_file import load_station
 

@@ -10,12 +10,12 @@ from scipy.optimize import least_squares
 
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile
+from station.config.loads import Load
 from station.config.motions import JointSweepMotion, WaypointsMotion
 from station.config.robots import RobotFile
 from station.config.strict import Strict
 from station.config.units import format_quantity, unit_of_description
 from station.experiments.experiment import Case
-from station.lab.loads import Load
 
 
 class StepFit(NamedTuple):

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from station.config.loads import HungWeightLoad, NoLoad, RampLoad
+from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
 from station.experiments.case_summary import case_facts, describe_keys, fit_step, fold, load_windows, window_name
