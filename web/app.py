@@ -16,20 +16,16 @@ from typing import Any, cast
 
 import uvicorn
 import viser
-from fastapi import Depends, FastAPI, Request, WebSocket
-from fastapi.exceptions import RequestValidationError, WebSocketRequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi import Depends, FastAPI
+from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from rich.console import Console
-from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp
 
 from core.errors import CtrError
-from station.config.strict import error_lines, key_of
 from station.control import ring
 from station.control.realtime import last_core
-from station.control.states import RefusedError
 from station.devices.links.link import clear_left_behind
 from station.experiments.saved import use_saved
 from station.recording.history import RunHistory
@@ -39,25 +35,21 @@ from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audit_middleware import AuditMiddleware
-from web.access.connections import Connections, connection_capacity
+from web.access.connections import Connections, connection_capacity, limited_scene_server
 from web.access.gate import Access, is_loopback
+from web.access.identity import Tokens, new_tokens
 from web.access.lease import Lease
-from web.access.scene_connections import limited_scene_server
-from web.access.tokens import Tokens, new_tokens
 from web.api.calibration import calibration_routes
-from web.api.commands import commands, operator_routes, with_permits
+from web.api.commands import commands, operator_routes, watch_operator, with_permits
 from web.api.control import control_routes
-from web.api.operator_watchdog import watch_operator
-from web.api.renamed_paths import renamed_routes
+from web.api.experiments import waypoint_routes
+from web.api.refusals import answer_errors, renamed_routes, require_utf8
 from web.api.rig import bench_routes
 from web.api.runs import runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
-from web.api.utf8_guard import refusal, require_utf8
-from web.api.waypoints import waypoint_routes
-from web.gateway.host import Gateway
+from web.gateway.host import Gateway, TargetStreams, gateway_routes
 from web.gateway.options import GatewayOptions
-from web.gateway.target_stream import TargetStreams, gateway_routes
 from web.scene.proxy import viser_routes
 from web.scene.view import SceneView
 
@@ -78,8 +70,6 @@ MAX_MESSAGE_BYTES = 64 * 1024
 SEND_BUFFER_BYTES = 128 * 1024
 #: Number of STOP requests handled at the same time. Each request may wait for seconds if the stages do not answer.
 STOPS_AT_ONCE = 32
-#: Largest length of the reason in a WebSocket's close frame [bytes] (RFC 6455).
-MAX_CLOSE_REASON_BYTES = 123
 #: Number of connections that the system queues before the server accepts them.
 LISTEN_BACKLOG = 64
 
@@ -348,46 +338,6 @@ def build_app(
 
     app.mount("/static", StaticFiles(directory=STATIC))
 
-    @app.exception_handler(RequestValidationError)
-    def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
-        # The response omits the input: JSON cannot represent a NaN in it.
-        return refusal(_reason(error), 422)
-
-    @app.exception_handler(WebSocketRequestValidationError)
-    async def invalid_socket(socket: WebSocket, error: WebSocketRequestValidationError) -> None:
-        reason = "; ".join(error_lines(error.errors(), lambda loc: _field(loc, None), "field"))
-        await socket.close(1008, reason.encode()[:MAX_CLOSE_REASON_BYTES].decode("utf-8", "ignore"))
-
-    @app.exception_handler(RefusedError)
-    def refused(_request: Request, error: RefusedError) -> JSONResponse:
-        return refusal(str(error), 409)
-
-    @app.exception_handler(CtrError)
-    def wrong(_request: Request, error: CtrError) -> JSONResponse:
-        return refusal(str(error), 422)
-
-    @app.exception_handler(HTTPException)
-    def other(_request: Request, error: HTTPException) -> JSONResponse:
-        return refusal(str(error.detail), error.status_code, error.headers)
-
+    answer_errors(app)
     app.openapi()  # generated now, because doing this in a request could delay STOP
     return AuditMiddleware(Access(with_permits(app, service.supervisor), host, port, tokens), audit)
-
-
-def _reason(error: RequestValidationError) -> str:
-    """Return all validation errors of a request in one line: fields, values, and what was expected."""
-    errors = error.errors()
-    if errors[0]["type"] == "json_invalid":
-        return f"the body is not JSON: {errors[0].get('ctx', {}).get('error', '')}"
-    return "; ".join(error_lines(errors, lambda loc: _field(loc, error.body), "field"))
-
-
-def _field(loc: tuple[int | str, ...], body: Any) -> str:
-    """Return the location of a field in a request, counted from one, such as `trajectory.points, row 1, number 4`."""
-    *parts, last = key_of(loc[1:] if loc[:1] in (("body",), ("query",)) else loc, body).split(".")
-    number = [f"number {int(last) + 1}"] if last.isdecimal() else []
-    name = ".".join(parts if number else (*parts, last))
-    head, _, row = name.rpartition(".")
-    if number and row.isdecimal():
-        return f"{head}, row {int(row) + 1}, {number[0]}"
-    return ", ".join((name, *number)) or "body"

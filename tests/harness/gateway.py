@@ -20,10 +20,9 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import HEARTBEAT
 from station.control.states import State
 from tests.tools.kill_recordings import Feed
-from web.access.tokens import Tokens
-from web.gateway.messages import GatewayReady, GatewaySetup
+from web.access.identity import Tokens
 from web.gateway.options import GatewayOptions, ListenAddress
-from web.gateway.process import run_gateway
+from web.gateway.process import GatewayReady, GatewaySetup, run_gateway
 from web.gateway.snapshot import StationInfo
 
 ANY = ListenAddress("127.0.0.1", 0)

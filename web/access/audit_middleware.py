@@ -1,18 +1,109 @@
 """Logs every changing request and every refused request with its outcome.
 
 This middleware wraps the whole application, so it also logs the requests that the access checks (`gate.py`) refuse.
+Refusals and STOP, which any client may send without limit, are logged in full only a few times a minute; further ones
+are logged as counts.
 """
 
 import json
 import time
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import datetime
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from station.service.audit import Audit
 from web.access.gate import CHANGING_METHODS
-from web.access.refusals import Refusals
-from web.access.repeats import Repeats
+
+#: Interval of the summaries [s], and number of refusals that are logged in full in one interval.
+SUMMARY_INTERVAL_S, MAX_WRITTEN = 60.0, 100
+
+
+class Refusals:
+    """Log of refused requests: the first requests are written in full, further ones are counted. Not thread-safe."""
+
+    def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
+        self._audit, self._clock = audit, clock
+        self._until = 0.0
+        self._written = 0
+        self._more: Counter[str] = Counter()  # number of refusals that were only counted, by network address
+
+    def add(self, who: str, what: str, where: str, outcome: str) -> None:
+        """Log or count one refused request."""
+        self.sum_up()
+        if not self._written:
+            self._until = self._clock() + SUMMARY_INTERVAL_S
+        if self._written < MAX_WRITTEN:
+            self._written += 1
+            self._audit.refused(who, what, where, outcome)
+        else:
+            self._more[where] += 1
+
+    def sum_up(self, *, now: bool = False) -> None:
+        """Log how many refusals were only counted, if the interval is over or if `now` is true."""
+        if not self._written or (self._clock() < self._until and not now):
+            return
+        if self._more:
+            where = ", ".join(address for address, _ in self._more.most_common(5)) + ", ..." * (len(self._more) > 5)
+            self._audit.refused("several", f"{self._more.total()} more requests", where, "refused within a minute")
+        self._written = 0
+        self._more.clear()
+
+
+#: Interval of the summaries [s]; number of full log lines of one sender in an interval; number of senders that are
+#: counted separately.
+PERIOD_S, MAX_LINES, MAX_SENDERS = 60.0, 3, 20
+
+
+@dataclass
+class _Minute:
+    """Commands of one sender during the minute after its first logged line."""
+
+    until: float
+    #: names and outcomes of the commands that already have a log line
+    written: set[tuple[str, str]] = field(default_factory=set[tuple[str, str]])
+    repeats: int = 0
+    first: str = ""  #: time of day of the first repeat
+    last: str = ""  #: time of day of the last repeat
+
+
+class Repeats:
+    """Log of repeated commands: the first commands are written in full, further ones are counted. Not thread-safe."""
+
+    def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
+        self._audit, self._clock = audit, clock
+        self._senders: dict[tuple[str, str, str], _Minute] = {}  # by role, address and command
+
+    def add(self, who: str, role: str, what: str, where: str, outcome: str) -> None:
+        """Log or count one accepted command."""
+        self.sum_up()
+        sender = role, where, what
+        if sender not in self._senders and len(self._senders) >= MAX_SENDERS:
+            sender = role, "several", what
+        minute = self._senders.setdefault(sender, _Minute(self._clock() + PERIOD_S))
+        if (who, outcome) not in minute.written and len(minute.written) < MAX_LINES:
+            minute.written.add((who, outcome))
+            self._audit.write(who, what, where, outcome)
+            return
+        minute.repeats += 1
+        minute.last = f"{datetime.now().astimezone():%H:%M:%S}"
+        minute.first = minute.first or minute.last
+
+    def sum_up(self, *, now: bool = False) -> None:
+        """Log the number of repeats of each sender whose minute is over; with `now`, of all senders."""
+        for sender, minute in list(self._senders.items()):
+            if not now and self._clock() < minute.until:
+                continue
+            del self._senders[sender]
+            if minute.repeats:
+                role, where, what = sender
+                names = {name for name, _ in minute.written}
+                who = names.pop() if len(names) == 1 else f"several ({role})"
+                outcome = f"repeated {minute.repeats} times, first {minute.first}, last {minute.last}"
+                self._audit.write(who, what, where, outcome)
+
 
 #: Path of the jog command. The page repeats this command ten times a second while a jog button is pressed, so equal
 #: commands that one sender repeats within `REPEAT_INTERVAL_S` [s] have one line in the log.

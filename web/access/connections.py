@@ -1,21 +1,28 @@
-"""Limit on open connections, for each address and in total; the newest connection is always accepted.
+"""Limits on open connections, for each address and in total; the newest connection is always accepted.
 
 A process has a limited number of file descriptors. If one client used all of them, no other client could connect and
 send STOP. A connection beyond the limit therefore closes an older one. The connection that was idle
 longest is closed first, then connections with a request in progress, and last WebSockets. WebSockets, which stay open,
 may use half of the connections.
+
+viser accepts every client on its loopback port, although only the proxy needs access. Other programs and every page in
+a browser of this computer can connect to it, so it refuses pages, and its number of connections is limited, too.
 """
 
 import asyncio
 import contextlib
 import select
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 from starlette.datastructures import Headers
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from websockets.asyncio import server
+from websockets.asyncio.server import ServerConnection
 
 #: Time within which a client must complete a request after it has connected, or after the previous answer [s].
 REQUEST_TIMEOUT_S = 20.0
@@ -220,3 +227,44 @@ class _ConnectionLimit:
     def __getattr__(self, name: str) -> Any:
         """Return any other attribute of the wrapped protocol object."""
         return getattr(self._inside, name)
+
+
+@contextmanager
+def limited_scene_server(most: int) -> Iterator[None]:
+    """Provide a context in which a new viser server accepts at most `most` connections, and no connection from a page.
+
+    viser has no settings for these limits, so the context changes the `websockets` server that viser uses.
+    """
+    plain, open_ = server.serve, list[_Guarded]()
+    changed = cast("Any", server)
+    # `origins=[None]` refuses browsers, which send an Origin header; the proxy sends none.
+    guarded = cast("Any", partial(_Guarded, open_, most))
+    changed.serve = partial(plain, origins=[None], create_connection=guarded)
+    try:
+        yield
+    finally:
+        changed.serve = plain
+
+
+class _Guarded(ServerConnection):
+    """Connection to viser that counts toward the limit."""
+
+    def __init__(self, open_: "list[_Guarded]", most: int, *args: Any, **options: Any) -> None:
+        """`open_` lists the open connections, oldest first; `most` is the largest number of open connections."""
+        super().__init__(*args, **options)
+        self._open, self._most = open_, most
+
+    def connection_made(self, transport: Any) -> None:
+        """Add this connection; at the limit, close first the oldest without a request, or else the oldest of all."""
+        super().connection_made(transport)
+        if len(self._open) >= self._most:
+            victim = min(self._open, key=lambda known: known.request is not None)
+            self._open.remove(victim)
+            victim.transport.abort()
+        self._open.append(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Remove the connection from the list."""
+        if self in self._open:
+            self._open.remove(self)
+        super().connection_lost(exc)

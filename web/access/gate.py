@@ -14,8 +14,7 @@ from urllib.parse import parse_qs, quote
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from web.access.identity import sender
-from web.access.tokens import Role, Tokens
+from web.access.identity import Role, Tokens, sender
 
 #: Largest request body [bytes].
 MAX_BODY_BYTES = 64 * 1024

@@ -1,13 +1,42 @@
-"""Sender of a request: its role follows from the token; the client itself sends its identity and its name."""
+"""Sender of a request and its role: the token gives the role; the client itself sends its identity and its name."""
 
+import hmac
 import re
+import secrets
+from enum import StrEnum
 from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
-from web.access.tokens import Role
+
+class Role(StrEnum):
+    """Permissions of a client."""
+
+    OPERATOR = "operator"  #: every request; commands only with the operator's lease
+    VIEWER = "viewer"  #: only view the station and send STOP
+
+
+class Tokens(NamedTuple):
+    """The two secret access tokens of one session of the station."""
+
+    operator: str
+    viewer: str
+
+    def role(self, given: str) -> Role | None:
+        """Return the role of a token, None if the token is invalid; the time does not depend on the token."""
+        is_operator = hmac.compare_digest(given.encode(), self.operator.encode())
+        is_viewer = hmac.compare_digest(given.encode(), self.viewer.encode())
+        if is_operator:
+            return Role.OPERATOR
+        return Role.VIEWER if is_viewer else None
+
+
+def new_tokens() -> Tokens:
+    """Return new random access tokens."""
+    return Tokens(secrets.token_urlsafe(24), secrets.token_urlsafe(24))
+
 
 #: Names of the headers that distinguish the clients of one computer: a secret identity, and a display name
 #: (percent-encoded UTF-8).

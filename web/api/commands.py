@@ -1,12 +1,13 @@
 """Dependencies of routes that send commands: the sender must be operator, or becomes operator if there is none."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
 from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -14,9 +15,8 @@ from core.errors import CtrError
 from station.control.states import RefusedError
 from station.service.permits import Permit
 from station.service.supervisor import Supervisor
-from web.access.identity import Sender, clean_name, sender_of
+from web.access.identity import Role, Sender, clean_name, sender_of
 from web.access.lease import LEASE_S, Lease
-from web.access.tokens import Role
 from web.api.schemas import REFUSED_RESPONSES, OperatorIn, OperatorOut
 
 T = TypeVar("T")
@@ -134,3 +134,39 @@ def operator_routes(of: Commands) -> APIRouter:
 async def run_in_thread(function: Callable[..., T], *arguments: Any) -> T:
     """Run a function in a thread, so that the event loop stays responsive while the function waits."""
     return await asyncio.to_thread(function, *arguments)
+
+
+#: Interval between two checks of the operator's lease [s].
+LEASE_POLL_INTERVAL_S = 0.25
+
+
+async def watch_operator(lease: Lease, supervisor: Supervisor) -> None:
+    """Report to the station each time the operator is lost; run until cancelled."""
+    had_operator = False
+    while True:
+        await asyncio.sleep(LEASE_POLL_INTERVAL_S)
+        has_operator = lease.holder() is not None
+        if had_operator and not has_operator:
+            await run_in_thread(supervisor.operator_gone)
+        had_operator = has_operator
+
+
+#: Interval between two checks whether the client is still connected [s].
+CONNECTION_POLL_INTERVAL_S = 0.1
+
+
+async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, T]) -> T:
+    """Return the result of `work`, or cancel `work` as soon as the client disconnects.
+
+    Raises:
+        HTTPException: status 499: the client has disconnected, so no client receives this answer.
+    """
+    task = asyncio.create_task(work)
+    try:
+        while not (await asyncio.wait([task], timeout=CONNECTION_POLL_INTERVAL_S))[0]:
+            if await request.is_disconnected():
+                raise HTTPException(499, "the client has disconnected")
+        return task.result()
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)

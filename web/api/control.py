@@ -1,6 +1,7 @@
 """REST: the state, start, STOP and reset, the next motion, the model, and telemetry."""
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,18 +14,18 @@ from core.robot.robot import Array
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
+from station.control.ring import Ring
 from station.control.states import State
 from station.control.task import Phase
 from station.experiments.experiment import offered_experiment
+from station.service.contact import SideLoad
 from station.service.run_request import RunRequest
 from station.service.solve import model_answer
 from station.service.stale_channels import stale_groups
 from station.service.station_service import StationService
 from web.access.identity import sender_of
 from web.api.commands import Commands, Permitted, run_in_thread, stopper
-from web.api.experiments import experiments_out
-from web.api.loop_health import RecentTiming
-from web.api.pictures import picture
+from web.api.experiments import experiments_out, picture
 from web.api.schemas import (
     REFUSED_RESPONSES,
     DoneOut,
@@ -38,8 +39,38 @@ from web.api.schemas import (
     TipMotionIn,
 )
 from web.api.status import status_out
-from web.scene.contact import SideLoad
-from web.scene.target_visibility import TargetVisibility
+from web.scene.history import TargetVisibility
+
+#: Shortest time over which the timing statistics are computed [s].
+MIN_WINDOW_S = 1.0
+
+
+class RecentTiming:
+    """Lateness and work time of the control loop over about the last second."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._then = time.monotonic()
+        self._late, self._busy = ring.late.copy(), ring.busy.copy()
+        self._last: dict[str, float | None] = {"late_us": None, "tick_us": None}
+
+    def read(self) -> dict[str, float | None]:
+        """Return the 99th percentiles of lateness and work time [us]; None during the first second."""
+        now = time.monotonic()
+        if now - self._then >= MIN_WINDOW_S:
+            late, busy = self._ring.late.copy(), self._ring.busy.copy()
+            self._last = {"late_us": _p99(late - self._late), "tick_us": _p99(busy - self._busy)}
+            self._then, self._late, self._busy = now, late, busy
+        return self._last
+
+
+def _p99(increase: np.ndarray) -> float | None:
+    total = int(increase.sum())
+    # The control process may have cleared its histograms: a negative increase is meaningless.
+    if total <= 0 or increase.min() < 0:
+        return None
+    return float(np.searchsorted(np.cumsum(increase), 0.99 * total) + 1)
+
 
 #: Names of the groups of telemetry channels that are streamed to WebSocket clients.
 STREAMED_GROUPS = (

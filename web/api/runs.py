@@ -14,8 +14,7 @@ from station.config.strict import Strict
 from station.recording.history import MAX_NOTES_CHARS, NoRunError, RunDetails, RunEntry, RunHistory
 from station.recording.run_outcome import RecordingError
 from station.report.curves import Curve, read_curves
-from web.api.cancel_on_disconnect import cancel_on_disconnect
-from web.api.commands import Commands, run_in_thread
+from web.api.commands import Commands, cancel_on_disconnect, run_in_thread
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}

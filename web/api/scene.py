@@ -17,10 +17,10 @@ from web.access.identity import sender_of
 from web.api.commands import Commands, Permitted, run_in_thread
 from web.api.control import run_out
 from web.api.schemas import REFUSED_RESPONSES, StartOut
-from web.scene.legend import Legend, signs, tube_signs
+from web.scene.cameras import VIEWS
+from web.scene.marks import Legend, signs, tube_signs
 from web.scene.overlays import ViewOptions
 from web.scene.view import SceneView
-from web.scene.views import VIEWS
 
 
 class ViewOptionsOut(ViewOptions):

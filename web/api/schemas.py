@@ -1,7 +1,7 @@
 """Request and response types of the REST interface, in SI units. NaN, infinity and unknown fields are refused."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -10,11 +10,11 @@ from station.config.loads import Load
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
 from station.service.solve import Stability
-from web.access.identity import MAX_NAME_CHARS
-from web.access.tokens import Role
-from web.api.messages import Action
+from web.access.identity import MAX_NAME_CHARS, Role
 
 TipMotionIn = Annotated[TipMotion, Field(discriminator="kind")]
+#: Command or tab of the page that does what the status recommends.
+Action = Literal["", "connect", "home", "reset", "start", "calibrate"]
 
 
 class ErrorOut(Strict):

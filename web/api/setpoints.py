@@ -32,18 +32,15 @@ from station.service.audit import Audit
 from station.service.run_request import RunRequest
 from station.service.setpoint_stream import RateExceeded, SetpointRefused, SetpointStream, StreamAgreement
 from station.service.station_service import StationService
-from web.access.identity import Sender, sender_of
+from web.access.identity import Role, Sender, sender_of
 from web.access.lease import Lease, LeaseHeldError
-from web.access.tokens import Role
 from web.api.commands import commanding, permit_of, run_in_thread
-from web.api.utf8_guard import printable
+from web.api.refusals import close_reason, printable
 
 #: Interval between two checks whether the streamed run continues [s].
 RUN_POLL_INTERVAL_S = 0.02
 #: Time within which a client must send the first message after it has connected [s].
 FIRST_MESSAGE_TIMEOUT_S = 20.0
-#: Largest length of the reason in a WebSocket's close frame [bytes] (RFC 6455).
-MAX_REASON_BYTES = 123
 #: Largest number of answers queued for a client that does not read; the oldest are dropped first.
 MAX_ANSWERS = 500
 #: Close codes of the WebSocket (RFC 6455): normal end; refusal; messages that are too frequent or too long.
@@ -323,4 +320,4 @@ async def _close(socket: WebSocket, last: dict[str, str], code: int) -> None:
     message = {key: printable(text) for key, text in last.items()}
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the client has disconnected
         await socket.send_json(message)
-        await socket.close(code, message.get("error", "").encode()[:MAX_REASON_BYTES].decode(errors="ignore"))
+        await socket.close(code, close_reason(message.get("error", "")))

@@ -1,7 +1,8 @@
 """The gateway process: polls the telemetry ring and sends the values to the clients of all protocols.
 
 The gateway reads the ring in the same way as the recorder, without any effect on the control loop. It sends targets
-for the robot to the station process, which accepts or discards them.
+for the robot to the station process, which accepts or discards them. The station process sends a `StationInfo` at each
+change of its state, and None to end the gateway process.
 """
 
 import asyncio
@@ -10,17 +11,50 @@ import select
 import signal
 from collections.abc import Awaitable, Callable
 from multiprocessing.connection import Connection
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from core.errors import CtrError
 from core.robot.robot import Array
+from station.config.robots import RobotFile
+from station.control.clock import StationClock
 from station.control.realtime import move_off_core, set_process_name
 from station.control.ring import Ring
 from station.control.telemetry import Channels
 from web.access.gate import is_loopback
-from web.gateway.messages import GatewayProblem, GatewayReady, GatewaySetup, TargetMessage
-from web.gateway.options import GatewayError, ListenAddress
+from web.access.identity import Tokens
+from web.gateway.options import GatewayError, GatewayOptions, ListenAddress
 from web.gateway.snapshot import Snapshot, SnapshotReader, StationInfo
+
+
+class GatewaySetup(NamedTuple):
+    """Arguments of the gateway process."""
+
+    options: GatewayOptions
+    robot: RobotFile
+    clock: StationClock
+    core: int | None  #: index of the control loop's processor core, which the gateway does not use
+    tokens: Tokens | None  #: access tokens, which clients need if the protocol supports tokens; None on loopback
+
+
+class GatewayReady(NamedTuple):
+    """Message from gateway to station, sent once: the gateway now serves all requested protocols."""
+
+    lines: tuple[str, ...]  #: served protocols and their addresses, as text
+
+
+class GatewayProblem(NamedTuple):
+    """Message from gateway to station instead of `GatewayReady`: why the gateway cannot serve."""
+
+    text: str
+
+
+class TargetMessage(NamedTuple):
+    """Message from gateway to station: a client has sent a target for the tip."""
+
+    position: Array  #: target position (3,), world frame [m]
+    sent: float | None  #: time by the sender's clock [s]; None: the sender gave none
+    received: float  #: time of receipt in the gateway, by the station's clock [s]
+
 
 #: Rate at which the gateway polls the telemetry ring [1/s].
 POLL_RATE_HZ = 50.0
@@ -105,14 +139,14 @@ class _Gateway:
         """Start the requested protocols and return their addresses as text; import only their packages."""
         options, lines = self._setup.options, list[str]()
         if options.igtl is not None:
-            from web.gateway.igtl.server import IgtlServer
+            from web.gateway.igtl import IgtlServer
 
             igtl = IgtlServer(self._robot, self._take_target)
             outlets.append(igtl)
             address = await _listen("igtl", igtl.open, options.igtl)
             lines.append(f"OpenIGTLink is at {address}{_open_to(address)}")
         if options.foxglove is not None:
-            from web.gateway.foxglove.server import FoxgloveServer
+            from web.gateway.foxglove import FoxgloveServer
 
             tokens = self._setup.tokens
             foxglove = FoxgloveServer(self._robot, self._channels, tokens)
@@ -125,7 +159,7 @@ class _Gateway:
             outlets.append(LslOutlet(self._robot, self._channels, self._setup.clock))
             lines.append("Lab Streaming Layer has the streams 'ctr-station' and 'ctr-station events'")
         if options.ros2 is not None:
-            from web.gateway.ros2.publisher import Ros2Publisher
+            from web.gateway.ros2 import Ros2Publisher
 
             publisher = Ros2Publisher(self._robot)
             outlets.append(publisher)

@@ -8,7 +8,7 @@ import viser
 from viser.transforms import SO3
 
 from core.robot.robot import Array
-from web.scene.messages import HandleBox
+from web.scene.proxy import HandleBox
 
 #: Names of the handles in the scene's messages.
 TARGET_HANDLE, FORCE_HANDLE = "/handle/target", "/handle/force"

@@ -1,4 +1,7 @@
-"""Recent telemetry for the scene, averaged over a tenth of a second."""
+"""Recent telemetry for the scene: the trace of the tip, and which values are current.
+
+A telemetry row has all channels, but the values of a silent device or of a lost target are stale.
+"""
 
 from collections import deque
 from typing import NamedTuple
@@ -6,9 +9,31 @@ from typing import NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
+from station.control.follow import TARGET_LOST_S
 from station.control.ring import Ring
 from station.control.telemetry import Channels
-from web.scene.target_visibility import TargetVisibility
+from station.devices.interfaces import Severity
+from station.service.status import STALE_AFTER_S, StationStatus
+
+
+class TargetVisibility:
+    """Detector of a visible target; it must receive all rows of telemetry."""
+
+    def __init__(self, channels: Channels) -> None:
+        self._channels = channels
+        self._seen = -np.inf  # time of the last measurement of the target, by the time of the rows [s]
+
+    def update(self, rows: Array) -> bool:
+        """Return whether the target's last measurement is younger than `TARGET_LOST_S`, given the new `rows`."""
+        times = self._channels.of(rows, "time")[:, 0]
+        new = self._channels.of(rows, "target_new")[:, 0] > 0.0
+        now = float(times[-1])
+        if new.any():
+            self._seen = float(times[new][-1])
+        elif self._seen > now:
+            self._seen = -np.inf  # the control process has restarted, because the time of the rows decreased
+        return now - self._seen <= TARGET_LOST_S
+
 
 TRACE_SPAN_S = 20.0  #: duration of the drawn trace of the tip [s]
 TRACE_BIN_S = 0.1  #: time over which one point of the trace is averaged [s]
@@ -86,3 +111,38 @@ class TipTrace:
     def mean(self, group: str) -> Array:
         """Return the mean of a channel group over the last `TRACE_BIN_S`, which reduces noise in the picture."""
         return self.group(group).mean(axis=0)
+
+
+#: Age from which a measured tip is stale [s]; the control loop has the same timeout for the tracker.
+MAX_TIP_AGE_S = 0.25
+
+
+class Validity(NamedTuple):
+    """Which values of the newest telemetry row are current."""
+
+    row: bool  #: whether the control loop writes telemetry
+    joints: bool  #: whether the stages answer
+    tip: bool  #: whether the tracker measures the tip
+    force: bool  #: whether the force sensors measure and the force estimate is updated
+
+    @property
+    def message(self) -> str:
+        """Text that lists the stale values; empty if all are current."""
+        parts = {"joints": self.joints, "tip": self.tip, "force": self.force}
+        missing = [name for name, known in parts.items() if not known]
+        return f"not measured now: {', '.join(missing)}" if missing else ""
+
+
+NOTHING = Validity(row=False, joints=False, tip=False, force=False)
+
+
+def validity_of(status: StationStatus, history: TipTrace) -> Validity:
+    """Return the validity of the newest telemetry row."""
+    if not status.values or status.age > STALE_AFTER_S or len(history.recent) == 0:
+        return NOTHING
+    return Validity(
+        row=True,
+        joints=bool(status.values["trouble"][0] < Severity.HOLD),
+        tip=history.now - history.measured <= MAX_TIP_AGE_S,  # not every row has a new frame
+        force="force" not in status.stale_groups,
+    )

@@ -12,21 +12,15 @@ from core.model.statics import Solution, Statics
 from core.robot.robot import Array
 from station.config import palette
 from station.control.loop import MotionTask, Phase
+from station.service.contact import SideLoad
 from station.service.status import StationStatus
 from station.service.supervisor import Supervisor
-from web.scene.contact import SideLoad
-from web.scene.contact_mark import ContactMark
-from web.scene.content import CENTRE_LINE_M, CENTRE_LINE_POINTS, NO_POINTS, NOTHING, SceneContent
+from web.scene.cameras import DEFAULT_ASPECT, camera, extent, translations
+from web.scene.content import CENTRE_LINE_M, CENTRE_LINE_POINTS, NO_POINTS, NOTHING, SceneContent, path
 from web.scene.grid import Grid, draw_grid
-from web.scene.history import TRACE_BIN_S, TRACE_SPAN_S, TipTrace
-from web.scene.pointing_mark import PointingMark
-from web.scene.reference import path
-from web.scene.robot_extent import extent, translations
-from web.scene.stage import StageMesh
-from web.scene.target_mark import TargetMark
-from web.scene.tubes import TubeMesh, centre_line
-from web.scene.validity import Validity, validity_of
-from web.scene.views import DEFAULT_ASPECT, camera
+from web.scene.history import TRACE_BIN_S, TRACE_SPAN_S, TipTrace, Validity, validity_of
+from web.scene.marks import ContactMark, PointingMark, TargetMark
+from web.scene.robot_mesh import StageMesh, TubeMesh, centre_line
 
 #: Number of scene units in a metre.
 UNITS_PER_M = 10.0

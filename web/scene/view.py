@@ -16,18 +16,17 @@ from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.config import palette
 from station.config.loads import GRAVITY, ConstantLoad, NoLoad
+from station.service.contact import WINDOW_ROWS, ContactMonitor, SideLoad
 from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
 from web.scene.cameras import Cameras
-from web.scene.contact import WINDOW_ROWS, ContactMonitor, SideLoad
 from web.scene.content import SceneContent
 from web.scene.gizmos import FORCE_HANDLE, FORCE_SIZE_M, TARGET_HANDLE, TARGET_SIZE_M, Gizmo, boxes, handle_force
 from web.scene.history import TipTrace
-from web.scene.overlays import Overlays, ViewOptions
+from web.scene.overlays import Overlays, ViewOptions, WorkspaceMesh
 from web.scene.proxy import SceneServer
 from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M, Scene
 from web.scene.target import DirectionTarget, TargetMotion, plan_target_motion
-from web.scene.workspace import WorkspaceMesh
 
 #: Number of pictures a second. Trace and target are updated with every third picture, and the contact
 #: with every tenth.

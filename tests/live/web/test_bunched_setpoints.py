@@ -25,7 +25,7 @@ from station.control.ring import Ring
 from station.control.telemetry import Channels
 from tests.harness.serving import Served, serving, shared_memory
 from tests.harness.waiting import until
-from web.gateway.igtl.server import MAX_CLIENTS
+from web.gateway.igtl import MAX_CLIENTS
 
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
 #: Requested position relative to the start [mm].

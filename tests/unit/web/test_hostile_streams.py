@@ -16,7 +16,7 @@ from core.robot.robot import Array
 from station.control.streamed_motion import StreamedMotion, StreamRequest
 from station.service.setpoint_stream import MAX_EXTRAPOLATION_S, SetpointRefused, SetpointStream, StreamAgreement
 from web.api.setpoints import _setpoint_request
-from web.gateway.igtl.messages import HEADER_BYTES, parse_head, parse_target
+from web.gateway.igtl import HEADER_BYTES, parse_head, parse_target
 
 PERIOD = 0.002
 #: Factor on the shortest braking distance, because a tip that turns while it brakes needs more.

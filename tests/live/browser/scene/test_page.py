@@ -11,10 +11,9 @@ from station.config.palette import CONTACT
 from station.config.robots import load_robot
 from tests.harness.serving import Served
 from tests.harness.waiting import until
+from web.scene.cameras import FIELD_OF_VIEW_RAD, camera, extent
 from web.scene.gizmos import FORCE_SIZE_M, TARGET_SIZE_M
-from web.scene.robot_extent import extent
 from web.scene.scene import ARROW_SCALE_M_PER_N
-from web.scene.views import FIELD_OF_VIEW_RAD, camera
 
 Picture = Callable[[Page, str], None]
 

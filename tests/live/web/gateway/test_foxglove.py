@@ -24,7 +24,7 @@ from station.control.states import State
 from station.recording.drawing import Drawing
 from tests.harness.gateway import ANY, MEASURED, PAPER, Running, gateway
 from tests.harness.root import ROOT
-from web.access.tokens import Tokens
+from web.access.identity import Tokens
 from web.gateway.options import GatewayOptions, ListenAddress
 from web.gateway.snapshot import StationInfo
 

@@ -16,9 +16,9 @@ from pyigtl.messages import MessageBase, StringMessage, TransformMessage
 from station.control.states import State
 from tests.harness.gateway import ANY, FORCE, MEASURED, Running, eventually, gateway
 from tests.harness.root import ROOT
-from web.gateway.igtl.messages import HEADER_BYTES
-from web.gateway.messages import TargetMessage
+from web.gateway.igtl import HEADER_BYTES
 from web.gateway.options import GatewayOptions
+from web.gateway.process import TargetMessage
 from web.gateway.snapshot import StationInfo
 
 LIBRARY = Path("/usr/include/openigtlink/igtlClientSocket.h")

@@ -13,9 +13,8 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.control.states import State
 from tests.harness.gateway import ANY, PAPER, eventually, gateway
 from tests.harness.root import ROOT
-from web.gateway.messages import GatewayProblem, GatewaySetup
 from web.gateway.options import GatewayOptions, ListenAddress
-from web.gateway.process import run_gateway
+from web.gateway.process import GatewayProblem, GatewaySetup, run_gateway
 from web.gateway.snapshot import StationInfo
 
 

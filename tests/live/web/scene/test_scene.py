@@ -21,8 +21,8 @@ from station.control.telemetry import Channels
 from tests.harness.leftovers import nothing_left_behind
 from tests.harness.viewing import Viewed, viewing
 from tests.harness.waiting import until
+from web.scene.content import path_offsets
 from web.scene.history import TRACE_BIN_S, TRACE_SPAN_S, TipTrace
-from web.scene.reference import path_offsets
 from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M
 from web.scene.view import FRAME_RATE_HZ, UNWATCHED_EVERY
 

@@ -8,7 +8,7 @@ import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from web.access.gate import Access, is_loopback
-from web.access.tokens import Tokens
+from web.access.identity import Tokens
 
 TOKENS = Tokens("the-operators-token", "the-viewers-token")
 OWN = "127.0.0.1:8000"

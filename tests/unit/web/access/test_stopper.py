@@ -2,9 +2,8 @@
 
 import pytest
 
-from web.access.identity import Sender
+from web.access.identity import Role, Sender
 from web.access.lease import Lease
-from web.access.tokens import Role
 from web.api.commands import stopper
 
 ANNA = Sender(Role.OPERATOR, "anna-1234", "Anna", "127.0.0.1")

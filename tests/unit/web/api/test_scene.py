@@ -6,8 +6,8 @@ from starlette.testclient import TestClient
 
 from station.config.robots import load_robot
 from tests.harness.web_app import HOST, PORT
+from web.scene.cameras import VIEWS
 from web.scene.content import NOTHING
-from web.scene.views import VIEWS
 
 
 def test_the_legend_names_every_mark_every_tube_and_every_view(app: TestClient) -> None:

@@ -21,9 +21,9 @@ from web.scene.gizmos import (
     boxes,
     handle_force,
 )
+from web.scene.overlays import reachable_tips
 from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M
 from web.scene.target import HOLD_TIME_S, MEAN_TURN_RAD_S, DirectionTarget, TargetMotion, plan_target_motion
-from web.scene.workspace import reachable_tips
 
 POSE = np.array([0.0, np.pi / 2, -0.1])
 NOTHING = np.zeros(3)
