@@ -1,5 +1,6 @@
 """Calibration over REST: available procedures, the running procedure, and stored results."""
 
+import asyncio
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
@@ -16,7 +17,7 @@ from station.config.robots import load_robot, robot_of
 from station.config.strict import Strict, preset_names
 from station.service.calibration_session import SessionReport
 from station.service.live_calibration import LiveCalibration
-from web.api.commands import Commands, Permitted, run_in_thread
+from web.api.commands import Commands, Permitted
 from web.api.runs import STANDALONE_POLICY
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
@@ -140,7 +141,6 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
         dependencies=[Depends(of.renew_lease)],
         responses={422: REFUSED_RESPONSES[422]},
     )
-    operator = [Depends(of.require_operator)]
     results = Results(calibration.folder)
 
     @router.get("", summary="Procedures, and the running one")
@@ -158,32 +158,19 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
             course=calibration.report,
         )
 
-    @router.post(
-        "/start",
-        status_code=202,
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Start a procedure; STOP ends it",
-    )
+    @router.post("/start", status_code=202, summary="Start a procedure; STOP ends it", **of.command)
     async def start(request: CalibrateIn, permit: Permitted) -> CalibrationNowOut:
-        await run_in_thread(calibration.start, request.what, request.effort, request.weights, permit)
+        await asyncio.to_thread(calibration.start, request.what, request.effort, request.weights, permit)
         return CalibrationNowOut(course=calibration.report)
 
-    @router.post(
-        "/done",
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Confirm that the requested manual step is done",
-    )
+    @router.post("/done", summary="Confirm that the requested manual step is done", **of.command)
     async def done() -> CalibrationNowOut:
-        await run_in_thread(calibration.done)
+        await asyncio.to_thread(calibration.done)
         return CalibrationNowOut(course=calibration.report)
 
-    @router.post(
-        "/abort", responses=REFUSED_RESPONSES, dependencies=operator, summary="Abort the procedure and discard its data"
-    )
+    @router.post("/abort", summary="Abort the procedure and discard its data", **of.command)
     async def abort() -> CalibrationNowOut:
-        await run_in_thread(calibration.abort)
+        await asyncio.to_thread(calibration.abort)
         return CalibrationNowOut(course=calibration.report)
 
     @router.post("/exchange", responses=REFUSED_RESPONSES, summary="Steps to do after an exchange of tubes")

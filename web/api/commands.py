@@ -29,6 +29,11 @@ class Commands(NamedTuple):
     renew_lease: Callable[[HTTPConnection], Awaitable[None]]  #: renews the lease with any request of the operator
     require_operator: Callable[[Request], AsyncIterator[Sender]]  #: required by routes that send commands
 
+    @property
+    def command(self) -> dict[str, Any]:
+        """Arguments of a route that sends commands."""
+        return {"responses": REFUSED_RESPONSES, "dependencies": [Depends(self.require_operator)]}
+
 
 def commands(lease: Lease) -> Commands:
     """Return the dependencies: `Depends(commands.renew_lease)` for all routes, `require_operator` for commands."""
@@ -131,11 +136,6 @@ def operator_routes(of: Commands) -> APIRouter:
     return router
 
 
-async def run_in_thread(function: Callable[..., T], *arguments: Any) -> T:
-    """Run a function in a thread, so that the event loop stays responsive while the function waits."""
-    return await asyncio.to_thread(function, *arguments)
-
-
 #: Interval between two checks of the operator's lease [s].
 LEASE_POLL_INTERVAL_S = 0.25
 
@@ -147,7 +147,7 @@ async def watch_operator(lease: Lease, supervisor: Supervisor) -> None:
         await asyncio.sleep(LEASE_POLL_INTERVAL_S)
         has_operator = lease.holder() is not None
         if had_operator and not has_operator:
-            await run_in_thread(supervisor.operator_gone)
+            await asyncio.to_thread(supervisor.operator_gone)
         had_operator = has_operator
 
 

@@ -2,8 +2,9 @@
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
 from functools import partial
 from typing import Annotated, Any
 
@@ -24,7 +25,7 @@ from station.service.solve import model_answer
 from station.service.stale_channels import stale_groups
 from station.service.station_service import StationService
 from web.access.identity import sender_of
-from web.api.commands import Commands, Permitted, run_in_thread, stopper
+from web.api.commands import Commands, Permitted, stopper
 from web.api.experiments import experiments_out, picture
 from web.api.schemas import (
     REFUSED_RESPONSES,
@@ -103,20 +104,13 @@ def control_routes(
     """
     router = APIRouter(prefix="/api", responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
     supervisor = service.supervisor
-    operator = [Depends(of.require_operator)]
 
     @router.get("/status", summary="Status of the station")
     def status(request: Request) -> StatusOut:
         problem = None if gateway_problem is None else gateway_problem()
         return status_out(service, of, sender_of(request), side_load(), problem)
 
-    @router.post(
-        "/start",
-        status_code=202,
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Start an experiment or a motion",
-    )
+    @router.post("/start", status_code=202, summary="Start an experiment or a motion", **of.command)
     async def start(request: StartIn, permit: Permitted) -> StartOut:
         if request.experiment is not None:
             start = partial(service.start_experiment, request.experiment, request.case, permit=permit)
@@ -125,7 +119,7 @@ def control_routes(
                 service.start_motion, request.trajectory, request.controller, request.load, request.duration,
                 permit=permit,
             )  # fmt: skip
-        return run_out(await run_in_thread(start))
+        return run_out(await asyncio.to_thread(start))
 
     @router.post(
         "/stop",
@@ -139,23 +133,16 @@ def control_routes(
             response.status_code = 202
         return DoneOut(state=supervisor.status().state.name, note=note)
 
-    @router.post(
-        "/reset",
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Reset after STOPPED, HOLD or FAULT",
-    )
+    @router.post("/reset", summary="Reset after STOPPED, HOLD or FAULT", **of.command)
     async def reset(request: Request, permit: Permitted) -> DoneOut:
-        note = await run_in_thread(supervisor.reset, stopper(of.lease, sender_of(request)), permit)
+        note = await asyncio.to_thread(supervisor.reset, stopper(of.lease, sender_of(request)), permit)
         return DoneOut(state=supervisor.status().state.name, note=note)
 
     @router.get("/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:
         return service.settings.trajectory
 
-    @router.put(
-        "/trajectory", responses=REFUSED_RESPONSES, dependencies=operator, summary="Choose the next free motion"
-    )
+    @router.put("/trajectory", summary="Choose the next free motion", **of.command)
     def put_trajectory(trajectory: TipMotionIn) -> TipMotionIn:
         service.set_trajectory(trajectory)
         return service.settings.trajectory
@@ -164,7 +151,7 @@ def control_routes(
     def get_controller() -> ControllerFile:
         return service.settings.controller
 
-    @router.put("/controller", responses=REFUSED_RESPONSES, dependencies=operator, summary="Choose the controller")
+    @router.put("/controller", summary="Choose the controller", **of.command)
     def put_controller(controller: ControllerFile) -> ControllerFile:
         service.set_controller(controller)
         return service.settings.controller
@@ -195,29 +182,24 @@ def control_routes(
     @router.websocket("/telemetry")
     async def telemetry(socket: WebSocket, rate: Annotated[float, Query(ge=1.0, le=100.0)] = 30.0) -> None:
         nonlocal listeners
-        await socket.accept()
-        listening = asyncio.create_task(_until_closed(socket))
-        listeners += 1
-        timing, target = RecentTiming(supervisor.ring), TargetVisibility(supervisor.channels)
-        try:
-            since, before = supervisor.ring.written, None
-            while not listening.done():
-                await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / MAX_SAMPLES_PER_S))
-                rows, since, overwritten = supervisor.ring.read(since)
-                if len(rows):
-                    sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
-                    before = sample["time"]
-                    listeners -= 1  # while this client delays sending, it does not reduce the rate of other clients
-                    try:
-                        await socket.send_json(sample | timing.read() | {"target_visible": target.update(rows)})
-                    finally:
-                        listeners += 1
-        except (WebSocketDisconnect, RuntimeError):
-            return  # the client has disconnected
-        finally:
-            listeners -= 1
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
+        async with listening_to(socket) as listening:
+            listeners += 1
+            timing, target = RecentTiming(supervisor.ring), TargetVisibility(supervisor.channels)
+            try:
+                since, before = supervisor.ring.written, None
+                while not listening.done():
+                    await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / MAX_SAMPLES_PER_S))
+                    rows, since, overwritten = supervisor.ring.read(since)
+                    if len(rows):
+                        sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
+                        before = sample["time"]
+                        listeners -= 1  # while this client delays sending, it does not slow other clients
+                        try:
+                            await socket.send_json(sample | timing.read() | {"target_visible": target.update(rows)})
+                        finally:
+                            listeners += 1
+            finally:
+                listeners -= 1
 
     return router
 
@@ -248,6 +230,22 @@ def sample_out(service: StationService, row: Array, skipped: int, before: float 
     return {"skipped": skipped, "missed": missed, **values, **named}
 
 
-async def _until_closed(socket: WebSocket) -> None:
-    while (await socket.receive())["type"] != "websocket.disconnect":
-        pass
+@asynccontextmanager
+async def listening_to(
+    socket: WebSocket, handle: Callable[[str], object] = lambda _: None
+) -> AsyncIterator[asyncio.Task[None]]:
+    """Accept a WebSocket and provide the task that passes its texts to `handle` until the client disconnects."""
+
+    async def listen() -> None:
+        while (message := await socket.receive())["type"] != "websocket.disconnect":
+            handle(message.get("text") or "")
+
+    await socket.accept()
+    listening = asyncio.create_task(listen())
+    try:
+        yield listening
+    except (WebSocketDisconnect, RuntimeError):
+        return  # the client has disconnected
+    finally:
+        listening.cancel()
+        await asyncio.gather(listening, return_exceptions=True)

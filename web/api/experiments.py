@@ -28,7 +28,7 @@ from station.service.case_compatibility import deviations_from_case, incompatibi
 from station.service.rig import Rig
 from station.service.station_service import StationService
 from station.service.waypoint_check import FeasibilityResult, check_waypoints
-from web.api.commands import Commands, cancel_on_disconnect, run_in_thread
+from web.api.commands import Commands, cancel_on_disconnect
 from web.api.schemas import REFUSED_RESPONSES, CaseOut, DoneOut, ExperimentOut, FactOut, TipMotionIn
 from web.scene.content import path_offsets
 
@@ -192,7 +192,6 @@ class SaveIn(Strict):
 def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> APIRouter:
     """Return the routes under /api. Experiments are saved in `data` unless the station's file names a folder."""
     router = APIRouter(prefix="/api", tags=["experiments"], dependencies=[Depends(of.renew_lease)])
-    operator = [Depends(of.require_operator)]
     bench = service.supervisor.bench
     one_at_a_time = asyncio.Lock()  # one check at a time, because it uses a whole processor
 
@@ -223,7 +222,7 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
 
         async def work() -> FeasibilityResult:
             async with one_at_a_time:
-                return await run_in_thread(check_waypoints, request, controller, start, cancelled.is_set)
+                return await asyncio.to_thread(check_waypoints, request, controller, start, cancelled.is_set)
 
         try:
             found = await cancel_on_disconnect(connection, work())
@@ -234,12 +233,7 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
             path=tuple((x, y, z) for x, y, z in found.path.tolist()),
         )  # fmt: skip
 
-    @router.put(
-        "/experiments/{name}",
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Save a free motion as an experiment",
-    )
+    @router.put("/experiments/{name}", summary="Save a free motion as an experiment", **of.command)
     async def put(name: Name, request: SaveIn) -> DoneOut:
         motion = FreeMotion(
             title=request.title.strip() or name.replace("_", " "),
@@ -250,7 +244,7 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
             load=request.load,
         )
         try:
-            path = await run_in_thread(lambda: save(motion, name, data, _made_for(bench), replace=request.replace))
+            path = await asyncio.to_thread(lambda: save(motion, name, data, _made_for(bench), replace=request.replace))
         except SavedAlreadyError as error:
             raise RefusedError(str(error)) from None
         return DoneOut(state=service.supervisor.status().state.name, note=f"saved as {path}")

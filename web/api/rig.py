@@ -1,8 +1,8 @@
 """The rig over REST: devices, homing, tare, jogging, and the virtual lab's loads and faults."""
 
+import asyncio
 from collections.abc import Mapping
-from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
 from pydantic import ConfigDict, Field
@@ -17,8 +17,8 @@ from station.control.states import RefusedError
 from station.lab.faults import FAULT_KINDS, LabFault, Part, check_faults
 from station.service.audit import Audit, Entry
 from station.service.station_service import JOG_TIP_SPEED_M_S, JOG_TURN_SPEED_RAD_S, StationService
-from web.api.commands import Commands, Permitted, run_in_thread
-from web.api.schemas import REFUSED_RESPONSES, DoneOut, StartOut
+from web.api.commands import Commands, Permitted
+from web.api.schemas import DoneOut, StartOut
 
 
 class JointOut(Strict):
@@ -135,21 +135,13 @@ class FaultKindOut(Strict):
 
 #: Names of the telemetry channels that contain unprocessed values of a device.
 RAW_CHANNELS = (
-    "joints",
-    "velocity_commanded",
-    "velocity_sent",
-    "wrench_raw",
-    "tip_measured",
-    "tip_time",
-    "force",
-    "moment",
-)
+    "joints", "velocity_commanded", "velocity_sent", "wrench_raw", "tip_measured", "tip_time", "force", "moment",
+)  # fmt: skip
 
 
 def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRouter:
     """Return the routes under /api for the rig."""
     router = APIRouter(prefix="/api", tags=["bench"], dependencies=[Depends(of.renew_lease)])
-    operator = [Depends(of.require_operator)]
     supervisor = service.supervisor
 
     def done() -> DoneOut:
@@ -159,11 +151,38 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
         if supervisor.bench.devices is not None:
             raise RefusedError("this rig has real devices; only a virtual lab accepts simulated loads and faults")
 
-    virtual = [Depends(in_a_virtual_lab), *operator]
+    virtual: dict[str, Any] = of.command | {"dependencies": [Depends(in_a_virtual_lab), Depends(of.require_operator)]}
 
     @router.get("/rig", summary="Robot, joints and their limits")
     def bench() -> RigOut:
-        return bench_out(service)
+        bench = supervisor.bench
+        force = bench.robot.largest_force()
+        return RigOut(
+            robot=bench.robot.name,
+            lab=bench.title,
+            virtual=bench.devices is None,
+            joints=tuple(
+                JointOut(
+                    name=joint.name,
+                    motion=joint.motion,
+                    unit="rad" if joint.motion == "rotation" else "m",
+                    lower=joint.lower,
+                    upper=joint.upper,
+                    speed=joint.speed,
+                )
+                for joint in bench.robot.joints
+            ),
+            working_pose=bench.robot.working_pose,
+            tubes=tuple(tube.name for tube in bench.robot.tubes),
+            max_force=force.newton,
+            max_force_reason=force.reason,
+            model=bench.model_note,
+            tip_speed=JOG_TIP_SPEED_M_S,
+            turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED_RAD_S,
+            strategies=tuple(STRATEGIES),
+            inner=tuple(INNER_LOOPS),
+            controller=bench.controller,
+        )
 
     @router.get("/devices", summary="Every device with its details, and raw values")
     def devices() -> DevicesOut:
@@ -173,97 +192,68 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
     def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[Entry]:
         return list(audit.tail(count))
 
-    @router.post("/connect", responses=REFUSED_RESPONSES, dependencies=operator, summary="Find the devices")
+    @router.post("/connect", summary="Find the devices", **of.command)
     async def connect(permit: Permitted) -> DoneOut:
-        await run_in_thread(supervisor.connect, permit)
+        await asyncio.to_thread(supervisor.connect, permit)
         return done()
 
-    @router.post("/home", responses=REFUSED_RESPONSES, dependencies=operator, summary="Home every stage")
+    @router.post("/home", summary="Home every stage", **of.command)
     async def home(request: HomeIn, permit: Permitted) -> DoneOut:
-        await run_in_thread(partial(service.home, then_work=request.then_working_pose, permit=permit))
+        await asyncio.to_thread(service.home, then_work=request.then_working_pose, permit=permit)
         return done()
 
-    @router.post(
-        "/goto", status_code=202, responses=REFUSED_RESPONSES, dependencies=operator, summary="Go to a joint pose"
-    )
+    @router.post("/goto", status_code=202, summary="Go to a joint pose", **of.command)
     async def goto(request: GotoIn, permit: Permitted) -> StartOut:
-        run = await run_in_thread(partial(service.go_to, request.joints, permit=permit))
+        run = await asyncio.to_thread(service.go_to, request.joints, permit=permit)
         return StartOut(run_id=run.id, warnings=run.start.warnings)
 
-    @router.post("/tare", responses=REFUSED_RESPONSES, dependencies=operator, summary="Zero the force sensors")
+    @router.post("/tare", summary="Zero the force sensors", **of.command)
     async def tare(permit: Permitted) -> DoneOut:
-        await run_in_thread(supervisor.tare, permit)
+        await asyncio.to_thread(supervisor.tare, permit)
         return done()
 
-    @router.post(
-        "/jog", responses=REFUSED_RESPONSES, dependencies=operator, summary="Jog for 0.3 s; repeat to continue"
-    )
+    @router.post("/jog", summary="Jog for 0.3 s; repeat to continue", **of.command)
     async def jog(request: JogIn, permit: Permitted) -> DoneOut:
-        await run_in_thread(partial(service.jog, request.space, request.velocity, permit=permit))
+        await asyncio.to_thread(service.jog, request.space, request.velocity, permit=permit)
         return done()
 
-    @router.post(
-        "/load",
-        responses=REFUSED_RESPONSES,
-        dependencies=virtual,
-        summary="Apply a load to the simulated robot (virtual lab)",
-    )
+    @router.post("/load", summary="Apply a load to the simulated robot (virtual lab)", **virtual)
     async def apply_load(request: LoadIn) -> DoneOut:
-        await run_in_thread(service.apply_load, request.load)
+        await asyncio.to_thread(service.apply_load, request.load)
         return done()
 
     @router.get("/faults", summary="Faults that can be injected (virtual lab)")
     def faults() -> list[FaultKindOut]:
-        return fault_kinds(service)
+        robot = supervisor.bench.robot
+        targets: dict[Part, tuple[str, ...]] = {
+            "stages": ("stages",),
+            "joint": tuple(joint.name for joint in robot.joints),
+            "tracker": ("tracker",),
+            "sensor": ("sensors", *(tube.name for tube in robot.tubes)),
+        }
+        return [
+            FaultKindOut(
+                kind=name,
+                devices=tuple(device for part in kind.parts for device in targets[part]),
+                most=kind.maximum,
+                unit=kind.unit,
+                lasts=kind.lasts,
+            )
+            for name, kind in FAULT_KINDS.items()
+        ]
 
-    @router.post(
-        "/faults", responses=REFUSED_RESPONSES, dependencies=virtual, summary="Inject device faults (virtual lab)"
-    )
+    @router.post("/faults", summary="Inject device faults (virtual lab)", **virtual)
     async def inject(request: FaultsIn) -> DoneOut:
         check_faults(request.faults, supervisor.bench.robot)
-        await run_in_thread(supervisor.inject, request.faults)
+        await asyncio.to_thread(supervisor.inject, request.faults)
         return done()
 
-    @router.delete(
-        "/faults", responses=REFUSED_RESPONSES, dependencies=virtual, summary="Remove injected faults (virtual lab)"
-    )
+    @router.delete("/faults", summary="Remove injected faults (virtual lab)", **virtual)
     async def remove_faults() -> DoneOut:
-        await run_in_thread(supervisor.inject, ())
+        await asyncio.to_thread(supervisor.inject, ())
         return done()
 
     return router
-
-
-def bench_out(service: StationService) -> RigOut:
-    """Return the description of the rig as a response."""
-    bench = service.supervisor.bench
-    force = bench.robot.largest_force()
-    return RigOut(
-        robot=bench.robot.name,
-        lab=bench.title,
-        virtual=bench.devices is None,
-        joints=tuple(
-            JointOut(
-                name=joint.name,
-                motion=joint.motion,
-                unit="rad" if joint.motion == "rotation" else "m",
-                lower=joint.lower,
-                upper=joint.upper,
-                speed=joint.speed,
-            )
-            for joint in bench.robot.joints
-        ),
-        working_pose=bench.robot.working_pose,
-        tubes=tuple(tube.name for tube in bench.robot.tubes),
-        max_force=force.newton,
-        max_force_reason=force.reason,
-        model=bench.model_note,
-        tip_speed=JOG_TIP_SPEED_M_S,
-        turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED_RAD_S,
-        strategies=tuple(STRATEGIES),
-        inner=tuple(INNER_LOOPS),
-        controller=bench.controller,
-    )
 
 
 def devices_out(service: StationService) -> DevicesOut:
@@ -274,28 +264,4 @@ def devices_out(service: StationService) -> DevicesOut:
         if group in status.values and group not in status.stale_groups:
             names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
             raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
-    return DevicesOut(
-        devices=status.devices,
-        raw=raw,
-    )
-
-
-def fault_kinds(service: StationService) -> list[FaultKindOut]:
-    """Return every kind of fault with the devices that it can affect on this rig."""
-    robot = service.supervisor.bench.robot
-    targets: dict[Part, tuple[str, ...]] = {
-        "stages": ("stages",),
-        "joint": tuple(joint.name for joint in robot.joints),
-        "tracker": ("tracker",),
-        "sensor": ("sensors", *(tube.name for tube in robot.tubes)),
-    }
-    return [
-        FaultKindOut(
-            kind=name,
-            devices=tuple(device for part in kind.parts for device in targets[part]),
-            most=kind.maximum,
-            unit=kind.unit,
-            lasts=kind.lasts,
-        )
-        for name, kind in FAULT_KINDS.items()
-    ]
+    return DevicesOut(devices=status.devices, raw=raw)

@@ -14,7 +14,7 @@ from station.config.strict import Strict
 from station.recording.history import MAX_NOTES_CHARS, NoRunError, RunDetails, RunEntry, RunHistory
 from station.recording.run_outcome import RecordingError
 from station.report.curves import Curve, read_curves
-from web.api.commands import Commands, cancel_on_disconnect, run_in_thread
+from web.api.commands import Commands, cancel_on_disconnect
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}
@@ -57,7 +57,7 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         text: Annotated[str, Query(description="text in name, title, cause or notes")] = "",
         limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
     ) -> list[RunEntry]:
-        return list((await run_in_thread(history.runs, experiment, label, text))[:limit])
+        return list((await asyncio.to_thread(history.runs, experiment, label, text))[:limit])
 
     @router.get("/{run}", responses=NOT_FOUND, summary="One run; `latest` is the newest")
     async def one(run: str) -> RunDetails:
@@ -99,10 +99,10 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     async def curves(run: str) -> dict[str, Curve]:
         folder = await _found(history.find, run)
         async with rendering:
-            found = await run_in_thread(read_curves, folder)
+            found = await asyncio.to_thread(read_curves, folder)
             if found is None:
                 await _rendered("curves", folder)
-                found = await run_in_thread(read_curves, folder)
+                found = await asyncio.to_thread(read_curves, folder)
         return dict(found or {})
 
     @router.delete(
@@ -133,7 +133,7 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
 
 async def _found(function: Any, *arguments: Any) -> Any:
     try:
-        return await run_in_thread(function, *arguments)
+        return await asyncio.to_thread(function, *arguments)
     except NoRunError as error:
         raise HTTPException(404, str(error)) from None
 

@@ -1,12 +1,11 @@
 """View options of the scene and its target over REST, for the page's switches, the keyboard and scripts."""
 
 import asyncio
-from collections.abc import Callable
 from functools import partial
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Depends, Query, Request, WebSocket
 
 from core.robot.robot import Array
 from station.config.strict import Direction, Strict, Vector
@@ -14,9 +13,9 @@ from station.control.loop import NO_DIRECTION_CONTROL
 from station.control.states import RefusedError, Transition
 from station.service.station_service import StationService
 from web.access.identity import sender_of
-from web.api.commands import Commands, Permitted, run_in_thread
-from web.api.control import run_out
-from web.api.schemas import REFUSED_RESPONSES, StartOut
+from web.api.commands import Commands, Permitted
+from web.api.control import listening_to, run_out
+from web.api.schemas import StartOut
 from web.scene.cameras import VIEWS
 from web.scene.marks import Legend, signs, tube_signs
 from web.scene.overlays import ViewOptions
@@ -57,7 +56,6 @@ class TargetOut(Strict):
 def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIRouter:
     """Return the REST routes under /api/scene."""
     router = APIRouter(prefix="/api/scene", tags=["scene"], dependencies=[Depends(of.renew_lease)])
-    operator = [Depends(of.require_operator)]
 
     @router.get("", summary="View options of the scene")
     def get_shown(request: Request) -> ViewOptionsOut:
@@ -65,7 +63,7 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
             **view.shown.model_dump(), connected=view.scene_server.open[sender_of(request).client] > 0
         )
 
-    @router.put("", responses=REFUSED_RESPONSES, dependencies=operator, summary="Set the view options")
+    @router.put("", summary="Set the view options", **of.command)
     def put_shown(shown: ViewOptions, request: Request) -> ViewOptionsOut:
         view.show(shown)
         return get_shown(request)
@@ -83,17 +81,10 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
         rate: Annotated[float, Query(ge=1.0, le=30.0)] = 8.0,
     ) -> None:
         """Stream what is drawn around the tip. A received view name moves the camera of the page `client`."""
-        await socket.accept()
-        listening = asyncio.create_task(_until_closed(socket, lambda name: view.cameras.set_view(client, name)))
-        try:
+        async with listening_to(socket, lambda name: view.cameras.set_view(client, name)) as listening:
             while not listening.done():
                 await socket.send_json(view.drawn.to_json())
                 await asyncio.wait([listening], timeout=1.0 / rate)
-        except (WebSocketDisconnect, RuntimeError):
-            return  # the client has disconnected
-        finally:
-            listening.cancel()
-            await asyncio.gather(listening, return_exceptions=True)
 
     @router.get("/target", summary="The target, and whether the tip can reach it")
     def get_target() -> TargetOut:
@@ -104,7 +95,7 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
             reachable=plan.motion is not None, duration=plan.duration, reason=plan.reason,
         )  # fmt: skip
 
-    @router.put("/target", responses=REFUSED_RESPONSES, dependencies=operator, summary="Move the target")
+    @router.put("/target", summary="Move the target", **of.command)
     def put_target(target: TargetIn) -> TargetOut:
         if target.direction is None:
             view.set_target(np.array(target.position))
@@ -115,22 +106,16 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
         view.set_target(np.array(target.position), direction / np.linalg.norm(direction))
         return get_target()
 
-    @router.post(
-        "/target/go",
-        status_code=202,
-        responses=REFUSED_RESPONSES,
-        dependencies=operator,
-        summary="Move the tip to the target",
-    )
+    @router.post("/target/go", status_code=202, summary="Move the tip to the target", **of.command)
     async def go(permit: Permitted) -> StartOut:
         service.supervisor.check(Transition.START, permit)
-        plan = await run_in_thread(view.motion_to_target)
+        plan = await asyncio.to_thread(view.motion_to_target)
         if plan.motion is None:
             raise RefusedError(f"the target cannot be reached: {plan.reason}")
         # A controller with the task "position" would not turn the tip to the target's direction.
         controller = view.pointing if service.settings.controller.task == "position" else None
         start = partial(service.start_motion, plan.motion, controller, None, plan.duration, permit=permit)
-        return run_out(await run_in_thread(start))
+        return run_out(await asyncio.to_thread(start))
 
     return router
 
@@ -138,11 +123,3 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
 def _three(vector: Array) -> tuple[float, float, float]:
     x, y, z = vector.tolist()
     return x, y, z
-
-
-async def _until_closed(socket: WebSocket, handle: Callable[[str], object]) -> None:
-    while True:
-        message = await socket.receive()
-        if message["type"] == "websocket.disconnect":
-            return
-        handle(message.get("text") or "")

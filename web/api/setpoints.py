@@ -13,8 +13,7 @@ import contextlib
 import json
 import math
 from collections import deque
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,7 +33,7 @@ from station.service.setpoint_stream import RateExceeded, SetpointRefused, Setpo
 from station.service.station_service import StationService
 from web.access.identity import Role, Sender, sender_of
 from web.access.lease import Lease, LeaseHeldError
-from web.api.commands import commanding, permit_of, run_in_thread
+from web.api.commands import commanding, permit_of
 from web.api.refusals import close_reason, printable
 
 #: Interval between two checks whether the streamed run continues [s].
@@ -93,7 +92,7 @@ async def _start_run(
         permit = service.supervisor.permit(permit_of(socket).gone)  # the first message is the request to move
         agreement = StreamAgreement.model_validate(_object(first), strict=False)
         with commanding(lease, who):
-            run = await run_in_thread(partial(service.start_stream, agreement, permit=permit))
+            run = await asyncio.to_thread(service.start_stream, agreement, permit=permit)
     except TimeoutError:
         raise _Refused(
             f"no message for {FIRST_MESSAGE_TIMEOUT_S:g} s; the first message starts the run, {{}} uses the defaults"
@@ -108,13 +107,9 @@ async def _start_run(
 
 async def _wait_until_ready(service: StationService, lease: Lease, who: Sender, run: RunRequest) -> None:
     """Wait until the run accepts setpoints; meanwhile the tip rests and the force sensors are zeroed."""
-    while not accepts_setpoints(service, run):
-        # Right after the start, the control loop may not yet report the run.
-        if has_ended(service, run) and service.supervisor.status().state is not State.RUNNING:
-            status = service.supervisor.status()
-            raise _Refused(f"the run ended before it moved: {status.state.name} {status.cause}".strip(), NORMAL_CLOSURE)
-        lease.renew(who.client)
-        await asyncio.sleep(RUN_POLL_INTERVAL_S)
+    if not await until_accepting(service, run, lambda: lease.renew(who.client)):
+        status = service.supervisor.status()
+        raise _Refused(f"the run ended before it moved: {status.state.name} {status.cause}".strip(), NORMAL_CLOSURE)
 
 
 async def _follow_messages(
@@ -298,13 +293,21 @@ def _row(service: StationService) -> Array:
     return row
 
 
-def accepts_setpoints(service: StationService, run: RunRequest) -> bool:
-    """Return whether a streamed run accepts setpoints now."""
-    counters = service.supervisor.ring.counters
-    return int(counters[RUN]) == run.number and int(counters[PHASE]) == Phase.MOVING
+async def until_accepting(
+    service: StationService, run: RunRequest, meanwhile: Callable[[], None] = lambda: None
+) -> bool:
+    """Wait until a streamed run accepts setpoints; return False if the run has ended before."""
+    supervisor = service.supervisor
+    while int(supervisor.ring.counters[RUN]) != run.number or int(supervisor.ring.counters[PHASE]) != Phase.MOVING:
+        # Right after the start, the control loop may not yet report the run.
+        if _has_ended(service, run) and supervisor.status().state is not State.RUNNING:
+            return False
+        meanwhile()
+        await asyncio.sleep(RUN_POLL_INTERVAL_S)
+    return True
 
 
-def has_ended(service: StationService, run: RunRequest) -> bool:
+def _has_ended(service: StationService, run: RunRequest) -> bool:
     """Return whether a run is not running: the run has ended, or the control loop has not reported the run yet."""
     counters = service.supervisor.ring.counters
     return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
@@ -312,7 +315,7 @@ def has_ended(service: StationService, run: RunRequest) -> bool:
 
 async def until_over(service: StationService, run: RunRequest) -> None:
     """Wait until a streamed run has ended."""
-    while not has_ended(service, run):
+    while not _has_ended(service, run):
         await asyncio.sleep(RUN_POLL_INTERVAL_S)
 
 

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import select
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 from fastapi import APIRouter, Depends
@@ -24,10 +23,10 @@ from station.service.station_service import StationService
 from web.access.gate import is_loopback
 from web.access.identity import Sender, Tokens, new_tokens
 from web.access.lease import Lease
-from web.api.commands import Commands, Permitted, run_in_thread
+from web.api.commands import Commands, Permitted
 from web.api.control import run_out
 from web.api.schemas import REFUSED_RESPONSES, StartOut
-from web.api.setpoints import RUN_POLL_INTERVAL_S, accepts_setpoints, has_ended, until_over
+from web.api.setpoints import until_accepting, until_over
 from web.gateway.options import GatewayError, GatewayOptions
 from web.gateway.process import GatewayProblem, GatewayReady, GatewaySetup, TargetMessage, run_gateway
 from web.gateway.snapshot import StationInfo
@@ -174,7 +173,7 @@ class TargetStreams:
         """
         # OpenIGTLink targets are in the world frame, so the frame of the agreement is overwritten.
         agreement = agreement.model_copy(update={"frame": "world"})
-        run = await run_in_thread(partial(self._service.start_stream, agreement, permit=permit))
+        run = await asyncio.to_thread(self._service.start_stream, agreement, permit=permit)
         self._audit.write(str(who), f"targets of run {run.id}", who.where, "started")
         task = asyncio.create_task(self._follow(run, who, agreement))
         self._tasks.add(task)
@@ -184,11 +183,8 @@ class TargetStreams:
     async def _follow(self, run: RunRequest, who: Sender, agreement: StreamAgreement) -> None:
         supervisor = self._service.supervisor
         try:
-            while not accepts_setpoints(self._service, run):
-                # Right after the start, the control loop may not yet report the run.
-                if has_ended(self._service, run) and supervisor.status().state is not State.RUNNING:
-                    return
-                await asyncio.sleep(RUN_POLL_INTERVAL_S)
+            if not await until_accepting(self._service, run):
+                return
             row = supervisor.ring.latest()
             if row is not None:
                 start = supervisor.channels.of(row, "tip_desired").copy()

@@ -10,8 +10,8 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from pyigtl.messages import CRC64, MessageBase, PolyDataMessage, TransformMessage
@@ -246,14 +246,6 @@ _MAX_PENDING_REPLIES = 32
 _MAX_SUBSCRIPTIONS = 64
 
 
-class TargetHandler(Protocol):
-    """Function that receives the targets of OpenIGTLink clients."""
-
-    def __call__(self, position: Array, sent: float | None) -> None:
-        """Take the target `position` (3,) [m] in the world frame, and the time `sent` by the sender's clock [s]."""
-        ...
-
-
 class _Frame(NamedTuple):
     """All OpenIGTLink messages of one telemetry snapshot."""
 
@@ -265,7 +257,8 @@ class _Frame(NamedTuple):
 class IgtlServer:
     """OpenIGTLink server; it runs in the event loop that opens it."""
 
-    def __init__(self, robot: Robot, on_target: TargetHandler) -> None:
+    def __init__(self, robot: Robot, on_target: Callable[[Array, float | None], None]) -> None:
+        """`on_target` takes a target (3,) [m] in the world frame and its time by the sender's clock [s]."""
         self._robot, self._on_target = robot, on_target
         self._clients: set[_IgtlClient] = set()
         self._target_source: _IgtlClient | None = None  # the first client that sent a target, until it disconnects

@@ -57,23 +57,16 @@ class Scene:
             for number, (tube, mesh) in enumerate(zip(robot.tubes, self._tubes, strict=True))
         ]  # fmt: skip
         self._desired = scene.add_icosphere(
-            "/tip/desired",
-            radius=0.0045 * UNITS_PER_M,
-            color=palette.DESIRED,
-            opacity=0.5,
-            cast_shadow=False,
+            "/tip/desired", radius=0.0045 * UNITS_PER_M, color=palette.DESIRED, opacity=0.5, cast_shadow=False,
             visible=False,
-        )
+        )  # fmt: skip
         self._measured = scene.add_icosphere(
             "/tip/measured", radius=0.0022 * UNITS_PER_M, color=palette.MEASURED, cast_shadow=False, visible=False
         )
         self._estimated = scene.add_box(
-            "/tip/estimated",
-            color=palette.ESTIMATED,
-            dimensions=np.full(3, 0.0032 * UNITS_PER_M),
-            cast_shadow=False,
+            "/tip/estimated", color=palette.ESTIMATED, dimensions=np.full(3, 0.0032 * UNITS_PER_M), cast_shadow=False,
             visible=False,
-        )
+        )  # fmt: skip
         self._force = scene.add_arrows(
             "/force/arrow", np.zeros((1, 2, 3)), palette.FORCE,
             shaft_radius=0.0011, head_radius=0.003, head_length=0.008, scale=UNITS_PER_M, visible=False,

@@ -14,8 +14,8 @@ STAMPING = {
     "station/recording/history.py", "station/recording/run_folder.py", "station/recording/writer.py",
     "station/service/audit.py",
     "station/service/live_calibration.py", "station/service/runs.py",
-    "web/access/repeats.py", "web/gateway/foxglove/server.py", "web/gateway/igtl/server.py", "web/gateway/lsl.py",
-    "web/gateway/ros2/publisher.py", "web/gateway/snapshot.py",
+    "web/access/audit_middleware.py", "web/gateway/foxglove.py", "web/gateway/igtl.py", "web/gateway/lsl.py",
+    "web/gateway/ros2.py", "web/gateway/snapshot.py",
 }  # fmt: skip
 TIME_OF_DAY = {"time.time", "time.time_ns", "time_ns", "datetime.now", "datetime.today", "time.localtime"}
 
