@@ -31,8 +31,7 @@ from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.zaber.protocol import MESSAGE_BYTES, MESSAGE_TIME_S, SPEED_UNIT, ZaberCommand, alias_number, decode
 from station.lab.lab_server import PRIORITY, LabServer, devices_at
-from station.service.rig import Rig
-from station.service.station_file import load_station
+from station.service.station_file import Rig, load_station
 
 
 class UsedSetpoint(NamedTuple):

@@ -16,8 +16,7 @@ from core.robot.robot import Array
 from station.calibration.plan import PlanSubject
 from station.calibration.procedure import AbortedError, GuidedProcedure, OperatorPrompt, Procedure, SwingMotion
 from station.config.loads import GRAVITY
-from station.control import approach
-from station.control.settle_and_tare import AVERAGE_S, SETTLE_S
+from station.control.task import AVERAGE_S, SETTLE_S, SPEED_SHARE
 from station.lab.aurora_coil import GENERATOR_POSE, VOLUME_MM, Distortion
 from station.lab.config import LabConfig
 from station.lab.frictional_plant import true_plant
@@ -79,7 +78,7 @@ class StaticLab:
             stages = self._position + part / PATH_STEPS * (joints - self._position)
             self._plant.advance(self.hidden.joints(stages), pull, contact, self.time)
         state = self._plant.advance(self.hidden.joints(joints), pull, contact, self.time)
-        duration = float(np.abs((joints - self._position) / self._subject.limits.speed).max()) / approach.SPEED_SHARE
+        duration = float(np.abs((joints - self._position) / self._subject.limits.speed).max()) / SPEED_SHARE
         self.time += duration + SETTLE_S + 0.5 * AVERAGE_S
         arrival = np.sign(joints - self._position)
         self._position = joints.copy()

@@ -14,10 +14,9 @@ from core.control.trajectories import JointMotion
 from core.model.batch import solve_many
 from core.robot.robot import Array
 from station.calibration.procedure import AbortedError, GoToPose, SwingMotion, SwingRecord
-from station.control.margins import Margins
-from station.control.settle_and_tare import AVERAGE_S
+from station.control.monitors import Margins
 from station.control.states import State
-from station.control.task import MotionTask
+from station.control.task import AVERAGE_S, MotionTask
 from station.control.telemetry import Channels
 
 #: Margins against a snap during a procedure. The difference between tracker and model may change by 0.12 m, because

@@ -54,7 +54,7 @@ def _run(parsed: argparse.Namespace) -> int:
 
 def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> int:
     from station.config.strict import use_experiments
-    from station.control.margins import Margins, check_design
+    from station.control.monitors import Margins, check_design
     from station.experiments.best_possible import with_bound
     from station.experiments.case_summary import model_note
     from station.experiments.experiment import load_experiment

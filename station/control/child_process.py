@@ -1,6 +1,13 @@
-"""Start a child process of the station, exchange messages with it through a pipe, and end it."""
+"""Child processes of the station: start, messages through a pipe, end, and evidence that a process is alive.
+
+A hung process exists, but was stopped by a signal, by swapping or by a suspended computer; its heartbeat stops. The
+watchdog thread of the station process needs the interpreter's lock for its heartbeat. On a busy computer other threads
+may keep the lock for seconds. Therefore the control process also queries the kernel: a process that uses processor time
+is alive, and a process that is suspended or starved uses none.
+"""
 
 import contextlib
+import math
 import multiprocessing
 import os
 import signal
@@ -8,6 +15,10 @@ import time
 from collections.abc import Callable
 from multiprocessing.connection import wait
 from typing import Any
+
+from station.control.clock import StationClock
+from station.control.realtime import processor_time
+from station.control.ring import STATION_HEARTBEAT, Ring
 
 #: Longest wait for the exit status of a process that has already ended, in real time [s].
 EXIT_TIME = 5.0
@@ -87,3 +98,47 @@ class ChildProcess:
         """End the child process as `end` does, then close the pipe to it."""
         self.end(patience)
         self.pipe.close()
+
+
+#: Age of a heartbeat from which on the kernel is queried, and interval between two queries [s].
+DOUBT_S, QUERY_INTERVAL_S = 0.2, 0.05
+
+
+class StationLife:
+    """Evidence that the station process is alive: its heartbeat, and the processor time that it uses."""
+
+    def __init__(self, ring: Ring, clock: StationClock, pid: int) -> None:
+        self._ring, self._clock, self._pid = ring, clock, pid
+        self._used: float | None = None  # processor time at the last query; None: no query since the last heartbeat
+        self._queried = self._worked = -math.inf
+
+    @property
+    def silence(self) -> float:
+        """Time since the last heartbeat of the station process [s]."""
+        return self._clock.now() - float(self._ring.numbers[STATION_HEARTBEAT])
+
+    def standstill(self) -> float:
+        """Return the time since the last heartbeat or use of a processor [s]; call this at every tick."""
+        silence, now = self.silence, self._clock.now()
+        if silence < DOUBT_S:
+            self._used = None
+        elif now - self._queried >= QUERY_INTERVAL_S:
+            used, self._queried = processor_time(self._pid), now
+            if used is not None and self._used not in (None, used):
+                self._worked = now
+            self._used = used
+        return min(silence, now - self._worked)
+
+
+#: Interval between two reads of a heartbeat [s].
+HEARTBEAT_INTERVAL_S = 0.01
+
+
+def is_alive(ring: Ring, heartbeat: int, clock: StationClock, patience: float) -> bool:
+    """Return whether a process writes its heartbeat (an index of the ring's numbers) within `patience` [s]."""
+    before, end = float(ring.numbers[heartbeat]), clock.now() + patience
+    while float(ring.numbers[heartbeat]) == before:
+        if clock.now() > end:
+            return False
+        clock.sleep(HEARTBEAT_INTERVAL_S)
+    return True

@@ -15,7 +15,7 @@ from core.control.trajectories import Setpoint
 from core.robot.robot import Array
 from station.config.motions import FollowMotion
 from station.control.states import RefusedError
-from station.control.streamed_motion import StreamRequest
+from station.control.task import StreamRequest
 from station.control.telemetry import TARGET_COLUMNS
 from station.devices.interfaces import DeviceFault, GroundTruth, Severity, TipReading
 

@@ -18,25 +18,36 @@ from core.control.step import (
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.control.device_faults import (
+from station.control.follow import TargetTrack
+from station.control.monitors import (
     EVENT_BY_SEVERITY,
     NO_FAULT,
+    Margins,
+    ProgressMonitor,
+    SnapMonitor,
     blocks_motion,
     device_faults,
     not_finite,
     severities,
     worst_fault,
 )
-from station.control.follow import TargetTrack
-from station.control.jog import Jog, Space
-from station.control.margins import Margins, SnapMonitor
-from station.control.motion import FREEZE_AFTER_S, RunMotion, TimedMotion
-from station.control.progress_monitor import ProgressMonitor
-from station.control.settle_and_tare import AVERAGE_S, SETTLE_S, SettlePhase
-from station.control.states import LATCHED, RefusedError, State, Transition, next_state
-from station.control.stop_reasons import StopReasons
-from station.control.streamed_motion import StreamedMotion, StreamLimits, StreamRequest
-from station.control.task import MotionTask, Phase, Progress
+from station.control.states import LATCHED, RefusedError, State, StopReasons, Transition, next_state
+from station.control.task import (
+    AVERAGE_S,
+    FREEZE_AFTER_S,
+    SETTLE_S,
+    Jog,
+    MotionTask,
+    Phase,
+    Progress,
+    RunMotion,
+    SettlePhase,
+    Space,
+    StreamedMotion,
+    StreamLimits,
+    StreamRequest,
+    TimedMotion,
+)
 from station.control.telemetry import Channels
 from station.devices.interfaces import (
     Condition,

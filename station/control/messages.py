@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from core.robot.robot import Array
-from station.control.jog import Space
 from station.control.states import State, Transition
-from station.control.task import MotionTask
+from station.control.task import MotionTask, Space
 from station.devices.interfaces import Condition
 
 

@@ -16,18 +16,16 @@ from core.errors import CtrError
 from station.config.controllers import PERIOD_S
 from station.config.robots import RobotFile
 from station.control import follow
+from station.control.child_process import StationLife
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.driver_guard import DriverCalls, DriverError, guard_drivers
 from station.control.loop import ControlLoop
-from station.control.margins import Margins
 from station.control.messages import Command, CommandRefused, DeviceName, DeviceReport, DeviceStatus, Reply, StateNotice
-from station.control.overruns import OverrunLimits, Overruns
+from station.control.monitors import Margins, OverrunLimits, Overruns
 from station.control.realtime import is_dying, load, request_realtime, set_process_name
 from station.control.ring import DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
 from station.control.states import State, Transition
-from station.control.station_life import StationLife
-from station.control.streamed_motion import StreamRequest
-from station.control.task import MotionTask, Phase
+from station.control.task import MotionTask, Phase, StreamRequest
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from core.control.setpoint_request import SetpointRequest
 from core.robot.robot import Array
-from station.control.streamed_motion import StreamRequest
+from station.control.task import StreamRequest
 from station.devices.interfaces import GroundTruth
 
 SEGMENT_PREFIX = "psm_ctr_"  #: start of a segment's name; the pid of the process that created it follows

@@ -1,5 +1,6 @@
-"""States of the station and the table of their transitions, drawn in `station/README.md`."""
+"""States of the station, the table of their transitions, drawn in `station/README.md`, and the causes of a stop."""
 
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
 from core.errors import CtrError
@@ -91,3 +92,24 @@ def next_state(state: State, event: Transition) -> State:
         allowed = " or ".join(origin.name for origin, possible in TRANSITIONS if possible is event)
         raise RefusedError(f"'{event}' is not possible while {state.name}; it needs {allowed}")
     return TRANSITIONS[state, event]
+
+
+@dataclass(frozen=True)
+class StopReasons:
+    """Causes of HOLD, STOP or FAULT since the last reset, in their order, each once."""
+
+    texts: tuple[str, ...] = ()
+
+    def add(self, text: str) -> "StopReasons":
+        """Return the causes with one more; a cause that is already known is not added again."""
+        return self if not text or text in self.texts else StopReasons((*self.texts, text))
+
+    def extend(self, text: str) -> "StopReasons":
+        """Return the causes with `text` in place of the cause that `text` starts with.
+
+        The text of a lost serial link grows, because the axes miss their polls one after the other.
+        """
+        return StopReasons(tuple(text if text.startswith(known) else known for known in self.texts))
+
+    def __str__(self) -> str:
+        return "; then ".join(self.texts)

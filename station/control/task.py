@@ -1,16 +1,226 @@
-"""Task of the control loop: a motion with its controller, and the progress of its execution."""
+"""Tasks of the control loop: the phases of a run, and the motions that give an order at each tick.
+
+A run approaches its start pose, rests to tare the sensors and to measure the start tip, and then executes its motion. A
+motion is planned, follows a target (`follow`), or is streamed by a client. A jog lasts only while the client renews it.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal, NamedTuple, Protocol
 
+import numpy as np
+
+from core.control.motion_bounds import MotionBounds
+from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, DEFAULT_TURN_BOUNDS, SetpointRequest, StreamedTip
 from core.control.step import Controller
+from core.control.trajectories import JointMotion, Setpoint, rotated
 from core.robot.robot import Array
 from station.config.motions import FollowMotion, Orders
-from station.control.approach import approach
-from station.control.margins import Margins
-from station.control.motion import TimedOrders
-from station.control.settle_and_tare import AVERAGE_S, SETTLE_S
-from station.control.streamed_motion import StreamLimits
+from station.control.monitors import Margins
+from station.devices.interfaces import DeviceFault
+
+#: Time at rest in which the filters settle [s].
+SETTLE_S = 0.5
+#: Time after the settling in which readings are averaged for the tare and the start tip [s]; the tracker sends 60
+#: frames in this time.
+AVERAGE_S = 1.5
+
+
+class SettlePhase:
+    """Readings of the force sensors and of the tip while the robot rests, and their means."""
+
+    def __init__(self, since: float) -> None:
+        self.since = since  #: start of the measurement [s]
+        self._wrenches: list[Array] = []
+        self._tips: list[Array] = []
+
+    def take(self, wrenches: Array, tip: Array | None) -> None:
+        """Add the wrenches of one tick (one row of 6 for each sensor) and, after a new tracker frame, its tip (3,)."""
+        self._wrenches.append(wrenches)
+        if tip is not None:
+            self._tips.append(tip)
+
+    @property
+    def wrenches(self) -> Array:
+        """Mean wrench of each sensor, one row of 6 [N, N m]."""
+        return np.mean(self._wrenches, axis=0)
+
+    @property
+    def tip(self) -> Array | None:
+        """Mean position of the tip (3,) [m]; None without a tracker frame."""
+        return np.mean(self._tips, axis=0) if self._tips else None
+
+
+#: Speed of the joint with the longest travel time, as a fraction of its top speed. The other joints move slower, so
+#: that all joints arrive together.
+SPEED_SHARE = 0.5
+#: Rate at which the remaining distance to the start pose decays near the end of the approach [1/s].
+APPROACH_RATE_HZ = 2.0
+#: Largest remaining travel time at top speed at which a joint counts as arrived [s]: about a hundred microsteps.
+ARRIVAL_TOLERANCE = 2e-3
+
+
+def approach(joints: Array, start: Array, top: Array) -> Array | None:
+    """Return the joint velocities (n,) [rad/s or m/s] from `joints` (n,) toward `start` (n,), or None after arrival.
+
+    `joints` and `start` are joint positions [rad or m]; `top` (n,) are the top speeds [rad/s or m/s].
+    """
+    distance = (start - joints) / top
+    longest = np.abs(distance).max()
+    if longest <= ARRIVAL_TOLERANCE:
+        return None
+    return distance * min(APPROACH_RATE_HZ, SPEED_SHARE / longest) * top
+
+
+#: Speed of the position setpoint [m/s] and of the direction setpoint [rad/s] below which the tip counts as at rest.
+REST_SPEED_M_S, REST_TURN_RAD_S = 1e-4, 1e-3
+
+
+class StreamRequest(NamedTuple):
+    """Latest request of the client that commands the tip of a run."""
+
+    run: int  #: number of the run
+    setpoint: SetpointRequest | None  #: None: the client has disconnected
+
+
+@dataclass(frozen=True)
+class StreamLimits:
+    """Bounds and timeouts of a streamed motion, fixed at its start; a streamed task has them in place of orders."""
+
+    bounds: MotionBounds = DEFAULT_MOTION_BOUNDS
+    silence: float = 0.2  #: time without a message after which the tip comes to rest [s]
+    end: float = 2.0  #: time without a message after which the motion ends [s]
+    turning: MotionBounds = (
+        DEFAULT_TURN_BOUNDS  #: bounds of the streamed direction's angular velocity and acceleration [rad/s], [rad/s^2]
+    )
+
+
+class StreamedMotion:
+    """Motion of a run whose setpoints a client streams."""
+
+    def __init__(self, limits: StreamLimits, start: float, period: float, pointing: Array | None = None) -> None:
+        """Start the motion at `start` [s]; a tick takes a `period` [s].
+
+        `pointing` (3,) is the tip's direction at the start; None if the direction is not controlled.
+        """
+        self._limits, self._period = limits, period
+        self._tip = StreamedTip(limits.bounds, limits.turning, pointing)
+        self._received = start  # arrival time of the last message, or start of the motion [s]
+
+    def order(self, now: float, blind: float, request: StreamRequest | None) -> Setpoint | None:
+        """Return the setpoint of this tick; None after the end of the motion.
+
+        Args:
+            now: time [s].
+            blind: time without a measurement of the tip [s]; above 0 the tip comes to rest.
+            request: latest setpoint request, None before the first one. After a disconnect of the client the tip comes
+                to rest and the motion ends.
+        """
+        setpoint = None if request is None else request.setpoint
+        if setpoint is not None:
+            self._received = max(self._received, setpoint.time)
+        silent = now - self._received
+        rests = self._tip.speed < REST_SPEED_M_S and self._tip.turning < REST_TURN_RAD_S
+        if (request is not None and setpoint is None and rests) or silent > self._limits.end:
+            return None
+        return self._tip.advance(now, None if blind > 0.0 or silent > self._limits.silence else setpoint, self._period)
+
+
+#: Time without a tracker frame after which the outer loop's correction is frozen [s]: four periods of the tracker.
+FREEZE_AFTER_S = 0.1
+
+
+class RunMotion(Protocol):
+    """Interface of the motions of a run: `TimedMotion`, `StreamedMotion` and `TargetTrack`."""
+
+    def order(
+        self, now: float, blind: float, request: StreamRequest | None
+    ) -> Setpoint | JointMotion | DeviceFault | None:
+        """Return the order of this tick: a setpoint of the tip, or joint velocities.
+
+        Args:
+            now: time [s].
+            blind: time since the last tracker frame [s]; 0 if this time is at most `FREEZE_AFTER_S`, or if the
+                controller has an observer.
+            request: latest setpoint request for this run's streamed tip.
+
+        Returns:
+            The order; a fault that ends the run; None after the end of the motion.
+        """
+        ...
+
+
+class TimedOrders(Protocol):
+    """Interface of orders that are known in advance as a function of time."""
+
+    def at(self, time: float) -> Setpoint | JointMotion:
+        """Return the order at `time` [s] since the motion's start."""
+        ...
+
+
+@dataclass(frozen=True)
+class TimedMotion:
+    """Motion of a run whose orders are known in advance."""
+
+    orders: TimedOrders
+    start: float  #: time at which the motion starts [s]
+
+    def order(
+        self,
+        now: float,
+        blind: float,
+        request: StreamRequest | None = None,  # noqa: ARG002
+    ) -> Setpoint | JointMotion:
+        """Return this tick's order; without frames the setpoint keeps the position at the last frame."""
+        time = now - self.start
+        order = self.orders.at(time)
+        if blind == 0.0 or not isinstance(order, Setpoint):
+            return order
+        last = self.orders.at(max(0.0, time - blind))
+        return last._replace(velocity=order.velocity) if isinstance(last, Setpoint) else order
+
+
+#: Time after which a jog that is not renewed ends [s]: its button was released or its client is gone.
+JOG_TIMEOUT_S = 0.3
+#: What a jog moves: the joints, the tip's position, or the tip's direction at constant position.
+Space = Literal["joints", "tip", "direction"]
+
+
+@dataclass
+class Jog:
+    """One jog, from the first press of the operator's button until its release."""
+
+    space: Space
+    velocity: (
+        Array  #: velocity of the joints (n,) [rad/s or m/s], of the tip (3,) [m/s] or of its direction (3,) [rad/s]
+    )
+    renewed: float  #: time of the last renewal [s]
+    offset: Array  #: (3,) displacement of the tip's setpoint since the start [m]
+    direction: Array | None  #: (3,) desired direction of the tip; None: keep the direction of the start
+
+    @classmethod
+    def start(cls, space: Space, velocity: Array, now: float, pointing: Array | None = None) -> "Jog":
+        """Return a new jog; `pointing` (3,) is the present direction of the tip, needed for a jog of the direction."""
+        return cls(space, velocity, now, np.zeros(3), pointing if space == "direction" else None)
+
+    def renew(self, space: Space, velocity: Array, now: float) -> bool:
+        """Renew the jog with a velocity; return False if `space` differs, because another space needs a new jog."""
+        if space != self.space:
+            return False
+        self.velocity, self.renewed = velocity, now
+        return True
+
+    def order(self, now: float, period: float) -> JointMotion | Setpoint | None:
+        """Return this tick's joint velocities or setpoint; None after the client has stopped renewing the jog."""
+        if now - self.renewed > JOG_TIMEOUT_S:
+            return None
+        if self.space == "joints":
+            return JointMotion(self.velocity)
+        if self.direction is not None:
+            self.direction = rotated(self.direction, period * self.velocity)
+            return Setpoint(self.offset, np.zeros(3), self.direction, self.velocity)
+        self.offset = self.offset + period * self.velocity
+        return Setpoint(self.offset, self.velocity)
 
 
 class Phase(IntEnum):

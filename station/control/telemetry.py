@@ -1,4 +1,8 @@
-"""Channels of telemetry: one row of numbers for each tick, the same for recordings and live views."""
+"""Channels of telemetry: one row of numbers for each tick, the same for recordings and live views.
+
+A row always has every channel. It repeats the last known values while stages are being homed, lost or reconnected, and
+while a device has no valid sample; such values are stale.
+"""
 
 from typing import NamedTuple
 
@@ -12,8 +16,8 @@ from core.control.tip_direction import DirectionEstimate
 from core.model.solution import PASSES, STABILITY, fields
 from core.robot.robot import Array, Robot
 from station.control.states import State
-from station.control.streamed_motion import StreamRequest
-from station.devices.interfaces import GroundTruth, JointReading, TipReading, WrenchReading
+from station.control.task import StreamRequest
+from station.devices.interfaces import GroundTruth, JointReading, Severity, TipReading, WrenchReading
 
 XYZ = ("x", "y", "z")
 #: Number of columns of the tip's direction, and of a target. Both groups are the last columns of a row.
@@ -260,3 +264,31 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("target_offset", "m"),
         *vector("target_true", "m"),
     ]
+
+
+TRACKER_CHANNELS = frozenset({"tip_measured", "tip_time", "direction_measured", "target_measured"})
+SENSOR_CHANNELS = frozenset({
+    "force", "force_filtered", "force_estimated", "force_variance", "force_covariance", "moment", "moment_mismatch",
+    "deflection", "deflection_filtered", "deflection_rate",
+})  # fmt: skip
+TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_true"})
+#: Channels that each tick of the controller updates.
+COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
+    "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
+}  # fmt: skip
+#: Channels of unit vectors; they are 0 if the tip's direction is neither measured nor controlled.
+DIRECTION_CHANNELS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")
+
+
+def stale_groups(channels: Channels, row: Array) -> frozenset[str]:
+    """Return the groups of channels whose values in a row are stale or were never known."""
+    if channels.of(row, "estimates_frozen")[0]:
+        return COMPUTED_CHANNELS
+    _, tracker, sensors = channels.of(row, "trouble")
+    unknown = (
+        (TRACKER_CHANNELS, tracker >= Severity.HOLD),
+        (SENSOR_CHANNELS, sensors >= Severity.HOLD),
+        (TRUTH_CHANNELS, not channels.of(row, "truth_known")[0]),
+    )
+    nowhere = (group for group in DIRECTION_CHANNELS if not channels.of(row, group).any())
+    return frozenset(nowhere).union(*(groups for groups, old in unknown if old))

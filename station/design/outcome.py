@@ -10,7 +10,7 @@ from core.errors import CtrError
 from core.model.cosserat import ExactRod, Rod
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.control.margins import Margins, check_design
+from station.control.monitors import Margins, check_design
 from station.design.search import Line, best, parameters_of
 from station.design.study import Study, StudyTaskFile, largest, unit
 from station.design.task import HeldLoad, TaskResult, evaluate

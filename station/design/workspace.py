@@ -10,7 +10,7 @@ from core.errors import NoSolution
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.control.margins import Margins
+from station.control.monitors import Margins
 from station.design.task import dexterity, spread_poses, stiffness
 from station.solve_many import solve_many
 

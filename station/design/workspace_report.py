@@ -9,7 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from core.robot.robot import Array
-from station.control.margins import Margins
+from station.control.monitors import Margins
 from station.design import page
 from station.design.workspace import WorkspaceStudy
 from station.design.workspace_output import POSES_FILE, head, rows, sentences

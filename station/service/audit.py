@@ -1,17 +1,79 @@
-"""The audit log: who sent which request from where, and its outcome, including refusals.
+"""Logs of a station in its data folder: the audit log, and the telemetry before a HOLD or FAULT.
 
-Each line is a JSON object with the wall-clock time. Executed requests and events are in `audit.jsonl`, refusals in
-`refused.jsonl`, so that many refusals cannot displace commands from the log.
+Each line of the audit log is a JSON object with the wall-clock time: who sent which request from where, and its
+outcome. Executed requests and events are in `audit.jsonl`, refusals in `refused.jsonl`, so that many refusals cannot
+displace commands from the log.
 """
 
+import contextlib
+import csv
+import itertools
 import json
+import os
 import threading
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 
 from core.errors import CtrError
+from core.robot.robot import Array
 from station.config.strict import Strict
-from station.service.rotating_log import RotatingLog
+from station.control.ring import Ring
+from station.control.states import State
+from station.control.telemetry import Channels
+
+
+class RotatingLog:
+    """One rotating log file. It is not thread-safe, but several processes may have it open."""
+
+    def __init__(self, path: Path, limit: int, kept: int) -> None:
+        """Open the file, rotate it at `limit` [bytes] and keep `kept` old files.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        self._path, self._limit, self._kept = path, limit, kept
+        self._file = path.open("a", encoding="utf-8")
+
+    def add(self, line: str) -> None:
+        """Write a line; the line is lost if the disk is full."""
+        with contextlib.suppress(OSError):
+            self._file.write(line + "\n")
+            self._file.flush()
+            if self._file.tell() >= self._limit:
+                self._rotate()
+
+    def last(self, count: int) -> list[str]:
+        """Return the last lines, at most `count`, the newest first."""
+        lines: deque[str] = deque(maxlen=count)
+        for path in (self._older(1), self._path):
+            with (
+                contextlib.suppress(OSError),
+                path.open(encoding="utf-8", errors="replace") as file,
+            ):  # the older file may not exist yet
+                lines.extend(file)
+        return list(reversed(lines))
+
+    def close(self) -> None:
+        """Close the file; lines that could not be written are lost."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+
+    def _rotate(self) -> None:
+        mine = os.fstat(self._file.fileno())
+        # Another station with the same folder may already have rotated the file.
+        if self._path.exists() and os.path.samestat(mine, self._path.stat()):
+            for number in range(self._kept, 0, -1):
+                newer = self._path if number == 1 else self._older(number - 1)
+                if newer.exists():
+                    newer.replace(self._older(number))
+        rotated, self._file = self._file, self._path.open("a", encoding="utf-8")
+        rotated.close()
+
+    def _older(self, number: int) -> Path:
+        return self._path.with_name(f"{self._path.stem}.{number}.jsonl")
+
 
 AUDIT_FILE, REFUSALS_FILE = "audit.jsonl", "refused.jsonl"
 #: Size of a log file at which a new file is started [bytes], and number of old files that are kept.
@@ -108,3 +170,64 @@ def _entry(line: str) -> Entry | None:
 
 def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="milliseconds")
+
+
+#: Names of the station and of the control loop in the audit log.
+STATION, CONTROL_LOOP = "station", "control loop"
+#: Folder of the files with the last second of telemetry, number of rows in a file (one second at 500 Hz), and number
+#: of files that are kept.
+LAST_SECONDS_FOLDER, KEPT_ROWS, KEPT_SECONDS_FILES = "last_seconds", 500, 20
+#: States that are caused by a failure; for these a file is written.
+FAILURE_STATES = (State.HOLD, State.FAULT)
+
+
+class FlightRecorder:
+    """Writer of state changes to the audit log, and of the last second of telemetry to files; both are optional."""
+
+    def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:
+        self._ring, self._channels, self._audit, self._folder = ring, channels, audit, folder
+        self._session, self._count = session, 0
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="flight recorder")
+
+    def state(self, state: State, cause: str) -> None:
+        """Record a change of state without waiting for the disk."""
+        rows = None
+        if state in FAILURE_STATES and self._folder is not None:
+            # Read the rows now, before the ring overwrites them.
+            rows, _, _ = self._ring.read(max(0, self._ring.written - KEPT_ROWS))
+            self._count += 1
+        self._thread.submit(self._write, state, cause, rows, self._count)
+
+    def note(self, what: str, outcome: str) -> None:
+        """Add an entry about another event to the audit log without waiting for the disk."""
+        if self._audit is not None:
+            self._thread.submit(self._audit.write, STATION, what, CONTROL_LOOP, outcome)
+
+    def close(self) -> None:
+        """Write the pending entries and end the thread."""
+        self._thread.shutdown()
+
+    def _write(self, state: State, cause: str, rows: Array | None, number: int) -> None:
+        kept = ""
+        if rows is not None and len(rows) and self._folder is not None:
+            names = (f"{self._session}-{one:03}-{state.name.lower()}.csv" for one in itertools.count(number))
+            # Never overwrite a file of another station with the same folder.
+            path = next(path for name in names if not (path := self._folder / LAST_SECONDS_FOLDER / name).exists())
+            try:
+                _keep(path, rows, self._channels, cause)
+                kept = f" (the last second before it: {path.name})"
+            except OSError as error:
+                kept = f" (the last second before it could not be kept: {error.strerror})"
+        if self._audit is not None:
+            self._audit.write(STATION, f"state {state.name}", CONTROL_LOOP, f"{cause}{kept}".strip())
+
+
+def _keep(path: Path, rows: Array, channels: Channels, cause: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for old in sorted(path.parent.glob("*.csv"))[: -(KEPT_SECONDS_FILES - 1)]:
+        old.unlink(missing_ok=True)
+    with path.open("x", newline="", encoding="utf-8") as file:
+        file.write(f"# {' '.join(cause.split())}\n")
+        lines = csv.writer(file)
+        lines.writerow([channel.column for channel in channels.all])
+        lines.writerows(rows.tolist())

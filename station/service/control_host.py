@@ -19,7 +19,7 @@ from station.control.states import RefusedError, Transition
 from station.devices.config import BenchFile
 from station.service.fallback_stop import NO_STAGES, PRESS, PRIORITY, FallbackStop, StopOutcome
 from station.service.permits import Permit
-from station.service.rig import Rig
+from station.service.station_file import Rig
 
 #: Longest time for the control process to answer a command [s]; after it the process counts as hung.
 REPLY_TIMEOUT_S = 1.0

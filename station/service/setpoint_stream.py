@@ -13,7 +13,7 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
 from station.config.strict import Strict
-from station.control.streamed_motion import StreamLimits
+from station.control.task import StreamLimits
 
 #: Largest rate of a client's messages [1/s], and time over which this rate is averaged [s]. The time is long because
 #: messages that wait while this computer is busy arrive together, which is not the sender's fault.

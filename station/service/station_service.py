@@ -16,18 +16,23 @@ from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
-from station.control.jog import Space
 from station.control.states import Transition
-from station.control.streamed_motion import StreamRequest
-from station.control.task import MotionTask
+from station.control.task import MotionTask, Space, StreamRequest
 from station.experiments.experiment import load_warnings, offered_experiment
 from station.recording.tracking_errors import counted_from, settling_time
-from station.service.case_compatibility import deviations_from_case, incompatibility, missing_target
-from station.service.goto import check_path, goto_joints, goto_working_pose
+from station.service.feasibility import (
+    WORKING_POSE_HINT,
+    check_path,
+    deviations_from_case,
+    goto_joints,
+    goto_working_pose,
+    incompatibility,
+    missing_target,
+    suggest_motion,
+)
 from station.service.permits import Permit
-from station.service.run_request import RunRequest, StartRequest
+from station.service.runs import RunRequest, StartRequest
 from station.service.setpoint_stream import StreamAgreement
-from station.service.suggestion import WORKING_POSE_HINT, suggest_motion
 from station.service.supervisor import Supervisor
 
 #: Largest speed of the tip while jogging [m/s].

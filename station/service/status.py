@@ -11,13 +11,11 @@ from core.robot.robot import Array
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
 from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
-from station.control.states import LATCHED, State
-from station.control.stop_reasons import StopReasons
+from station.control.states import LATCHED, State, StopReasons
 from station.control.task import Phase
-from station.control.telemetry import Channels
+from station.control.telemetry import Channels, stale_groups
 from station.recording.saturation import limited_parts, saturation_warning
-from station.service.run_request import RunRequest
-from station.service.stale_channels import stale_groups
+from station.service.runs import RunRequest
 
 #: Age above which telemetry is shown as stale [s].
 STALE_AFTER_S = 0.5

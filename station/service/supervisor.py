@@ -7,35 +7,63 @@ the control process has died.
 import contextlib
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.loads import Load
-from station.control.jog import Space
 from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
 from station.control.realtime import move_off_core
 from station.control.ring import STATE, Ring
 from station.control.states import RefusedError, State, Transition, next_state
+from station.control.task import Space
 from station.control.telemetry import Channels
 from station.devices.interfaces import is_simulated
 from station.lab.faults import LabFault
 from station.recording.run_outcome import RecordingError
-from station.service.audit import Audit
+from station.service.audit import Audit, FlightRecorder
 from station.service.control_host import ControlReport, ExitReport, NoReply
 from station.service.fallback_stop import StopOutcome
-from station.service.flight_recorder import FlightRecorder
 from station.service.permits import Permit, Permits
 from station.service.processes import CONTROL_LABEL, ProcessSupervisor
-from station.service.rig import Rig
-from station.service.run_request import RunRequest, StartRequest
-from station.service.runs import Runs
-from station.service.single_flight import SingleFlight
+from station.service.runs import RunRequest, Runs, StartRequest
+from station.service.station_file import Rig
 from station.service.status import StateMonitor, StationStatus
+
+T = TypeVar("T")
+
+
+class SingleFlight(Generic[T]):
+    """Callable that runs a function once for simultaneous calls; every caller gets its result or exception."""
+
+    def __init__(self, function: Callable[[], T]) -> None:
+        self._function = function
+        self._lock = threading.Lock()
+        self._in_progress: Future[T] | None = None
+
+    def __call__(self) -> T:
+        """Return the result of a new call or of the call in progress; thread-safe."""
+        mine = Future[T]()
+        with self._lock:
+            in_progress = self._in_progress
+            if in_progress is None:
+                self._in_progress = mine
+        if in_progress is not None:
+            return in_progress.result()
+        try:
+            mine.set_result(self._function())
+        except BaseException as error:
+            mine.set_exception(error)
+        finally:
+            with self._lock:
+                self._in_progress = None
+        return mine.result()
+
 
 #: Longest time until a restarted control process is ready after a reset, including the loading of code [s].
 RESTART_TIMEOUT_S = 120.0

@@ -22,8 +22,7 @@ from station.control.ring import STATION_HEARTBEAT, Ring
 from station.control.states import State
 from station.devices.config import BenchFile
 from station.service import control_host
-from station.service.rig import Rig
-from station.service.station_file import load_station
+from station.service.station_file import Rig, load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.virtual_station import VirtualStation

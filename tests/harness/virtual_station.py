@@ -9,10 +9,9 @@ from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.config.motions import CircleMotion, Orders
 from station.control.loop import ControlLoop
-from station.control.margins import Margins
+from station.control.monitors import Margins
 from station.control.states import State
-from station.control.streamed_motion import StreamRequest
-from station.control.task import MotionTask, Phase
+from station.control.task import MotionTask, Phase, StreamRequest
 from station.experiments.experiment import Case
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import SimulatedBench

@@ -15,8 +15,7 @@ from station.calibration.folder import REPORT_FILE
 from station.calibration.results import CalibrationUse, NoResultError, Results, StoredCalibration
 from station.config.robots import load_robot, robot_of
 from station.config.strict import Strict, preset_names
-from station.service.calibration_session import SessionReport
-from station.service.live_calibration import LiveCalibration
+from station.service.live_calibration import LiveCalibration, SessionReport
 from web.api.commands import Commands, Permitted
 from web.api.runs import STANDALONE_POLICY
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut

@@ -18,11 +18,11 @@ from station.config.strict import preset_names
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.task import Phase
+from station.control.telemetry import stale_groups
 from station.experiments.experiment import offered_experiment
 from station.service.contact import SideLoad
-from station.service.run_request import RunRequest
+from station.service.runs import RunRequest
 from station.service.solve import model_answer
-from station.service.stale_channels import stale_groups
 from station.service.station_service import StationService
 from web.access.identity import sender_of
 from web.api.commands import Commands, Permitted, stopper

@@ -24,10 +24,9 @@ from station.control.states import RefusedError
 from station.experiments.case_summary import case_facts
 from station.experiments.experiment import Case, offered_experiment
 from station.experiments.saved import FreeMotion, SavedAlreadyError, save, saved_motion
-from station.service.case_compatibility import deviations_from_case, incompatibility
-from station.service.rig import Rig
+from station.service.feasibility import FeasibilityResult, check_waypoints, deviations_from_case, incompatibility
+from station.service.station_file import Rig
 from station.service.station_service import StationService
-from station.service.waypoint_check import FeasibilityResult, check_waypoints
 from web.api.commands import Commands, cancel_on_disconnect
 from web.api.schemas import REFUSED_RESPONSES, CaseOut, DoneOut, ExperimentOut, FactOut, TipMotionIn
 from web.scene.content import path_offsets

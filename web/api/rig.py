@@ -11,9 +11,9 @@ from core.control.controllers import INNER_LOOPS, STRATEGIES
 from station.config.controllers import ControllerFile
 from station.config.loads import Load
 from station.config.strict import Strict
-from station.control.jog import Space
 from station.control.messages import DeviceStatus
 from station.control.states import RefusedError
+from station.control.task import Space
 from station.lab.faults import FAULT_KINDS, LabFault, Part, check_faults
 from station.service.audit import Audit, Entry
 from station.service.station_service import JOG_TIP_SPEED_M_S, JOG_TURN_SPEED_RAD_S, StationService

@@ -28,7 +28,7 @@ from station.control.ring import PHASE, RUN, STATE
 from station.control.states import State
 from station.control.task import Phase
 from station.service.audit import Audit
-from station.service.run_request import RunRequest
+from station.service.runs import RunRequest
 from station.service.setpoint_stream import RateExceeded, SetpointRefused, SetpointStream, StreamAgreement
 from station.service.station_service import StationService
 from web.access.identity import Role, Sender, sender_of

@@ -17,7 +17,7 @@ from station.control.child_process import ChildProcess
 from station.control.states import State
 from station.service.audit import Audit
 from station.service.permits import Permit
-from station.service.run_request import RunRequest
+from station.service.runs import RunRequest
 from station.service.setpoint_stream import SetpointRefused, SetpointStream, StreamAgreement
 from station.service.station_service import StationService
 from web.access.gate import is_loopback

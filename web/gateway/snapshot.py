@@ -11,9 +11,8 @@ from core.robot.robot import Array, Robot
 from station.control.clock import StationClock
 from station.control.ring import HEARTBEAT, Ring
 from station.control.states import State
-from station.control.telemetry import Channels
+from station.control.telemetry import Channels, stale_groups
 from station.recording.robot_pose import Pose, PoseReader, RobotPose
-from station.service.stale_channels import stale_groups
 
 #: Largest age of the newest telemetry row that is subtracted from the wall-clock time when rows are stamped [s].
 STALE_AFTER_S = 0.5

@@ -7,7 +7,7 @@ import numpy as np
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
 from station.control.loop import MotionTask
-from station.control.streamed_motion import StreamLimits
+from station.control.task import StreamLimits
 from station.service.status import StationStatus
 
 #: Length of each tube's distal part that is sent to the close-up [m], and the number of points that describe it.

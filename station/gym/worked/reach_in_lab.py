@@ -25,8 +25,7 @@ from station.config.loads import TrapezoidLoad
 from station.config.robots import load_robot
 from station.control.loop import ControlLoop
 from station.control.states import State
-from station.control.streamed_motion import StreamLimits, StreamRequest
-from station.control.task import MotionTask, Phase
+from station.control.task import MotionTask, Phase, StreamLimits, StreamRequest
 from station.experiments.experiment import load_experiment
 from station.gym.bodies import EpisodeSettings
 from station.gym.reach import Reach

@@ -14,7 +14,7 @@ from station.control.ring import Ring
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.service.live_recording import LiveRecording
+from station.service.runs import LiveRecording
 from tests.harness.calm import CLOCK
 from tests.harness.lone_station import LoneStation
 from tests.harness.waiting import until

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from station.config.controllers import PERIOD_S
-from station.control.overruns import OverrunLimits, Overruns
+from station.control.monitors import OverrunLimits, Overruns
 from station.devices.interfaces import Severity
 from station.recording.read import read_case
 from tests.harness.calm import CLOCK

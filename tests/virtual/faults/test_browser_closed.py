@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from station.control.jog import JOG_TIMEOUT_S
 from station.control.states import State
+from station.control.task import JOG_TIMEOUT_S
 from tests.harness.virtual_station import VirtualStation
 
 

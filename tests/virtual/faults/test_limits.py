@@ -19,7 +19,7 @@ from station.config.strict import ConfigError
 from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.devices.zaber.protocol import ZaberCommand
-from station.service.goto import goto_joints
+from station.service.feasibility import goto_joints
 from station.service.station_file import load_station
 from tests.harness.virtual_station import VirtualStation
 

@@ -21,7 +21,7 @@ from station.control.states import RefusedError, State, Transition
 from station.control.task import MotionTask
 from station.experiments.experiment import Case
 from station.service.permits import Permit, VoidError
-from station.service.run_request import StartRequest
+from station.service.runs import StartRequest
 from station.service.setpoint_stream import StreamAgreement
 from tests.harness.played_station import PlayedStation, played_station
 from tests.harness.virtual_station import VirtualStation

@@ -3,7 +3,7 @@
 import numpy as np
 
 from station.config.loads import Load
-from station.control.progress_monitor import OVERLOAD_TIME_S
+from station.control.monitors import OVERLOAD_TIME_S
 from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 

@@ -13,7 +13,7 @@ from core.robot.stability import design_snap_number
 from station.config.loads import ConstantLoad
 from station.config.robots import TubeFile, load_robot
 from station.config.strict import ConfigError
-from station.control.margins import CONFIRMING_FRAMES, Margins, check_design
+from station.control.monitors import CONFIRMING_FRAMES, Margins, check_design
 from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from station.config.controllers import PERIOD_S
-from station.control.motion import FREEZE_AFTER_S
 from station.control.states import State
+from station.control.task import FREEZE_AFTER_S
 from station.devices.interfaces import Severity
 from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation

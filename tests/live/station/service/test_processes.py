@@ -22,8 +22,7 @@ from station.service import control_host
 from station.service.control_host import ControlReport, ExitReport
 from station.service.fallback_stop import StopOutcome
 from station.service.processes import CONTROL_LABEL, LAB_LABEL, ProcessSupervisor
-from station.service.run_request import StartRequest
-from station.service.runs import Runs
+from station.service.runs import Runs, StartRequest
 from station.service.station_file import load_station
 from tests.harness.calm import SETTINGS
 from tests.harness.waiting import NET, until

@@ -10,8 +10,7 @@ from station.control.ring import Ring
 from station.control.task import MotionTask
 from station.recording.history import RunHistory
 from station.recording.read import read_case
-from station.service.run_request import StartRequest
-from station.service.runs import Runs
+from station.service.runs import Runs, StartRequest
 from station.service.station_file import load_station
 
 

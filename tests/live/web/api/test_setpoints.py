@@ -8,8 +8,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from station.client import Station, StationError
-from station.setpoints import Setpoints
+from station.client import Setpoints, Station, StationError
 from tests.harness.serving import Served
 
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy

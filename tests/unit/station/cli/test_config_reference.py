@@ -14,7 +14,7 @@ from station.control.bench_calibration import RegistrationFile, SensorsFile
 from station.design.study import StudyFile
 from station.experiments.experiment import CaseFile, load_experiment
 from station.lab.config import LabConfig
-from station.service.goto import check_path, goto_working_pose
+from station.service.feasibility import check_path, goto_working_pose
 from station.service.station_file import StationFile, load_station
 
 FILES = Path(config_reference.__file__).parents[1] / "FILES.md"

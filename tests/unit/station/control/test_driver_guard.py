@@ -19,7 +19,7 @@ from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.robots import load_robot
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.driver_guard import SLOW_CALL_S, DriverCalls, DriverError, driver_in_call, guard_drivers
-from station.control.overruns import OverrunLimits, Overruns
+from station.control.monitors import OverrunLimits, Overruns
 from station.control.ring import Ring
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Devices, JointReading, Severity, TipReading, WrenchReading

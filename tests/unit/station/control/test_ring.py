@@ -9,7 +9,7 @@ import pytest
 
 from core.control.setpoint_request import SetpointRequest
 from station.control.ring import RING_ROWS, SEGMENT_FOLDER, SEGMENT_PREFIX, STUCK, Ring, clear_left_behind
-from station.control.streamed_motion import StreamRequest
+from station.control.task import StreamRequest
 from station.devices.interfaces import GroundTruth
 
 

@@ -1,8 +1,8 @@
-"""The transition table of the station's states, compared with a drawing of the whole table."""
+"""The table of the station's states compared with a drawing, and the texts about the causes of a stop."""
 
 import pytest
 
-from station.control.states import RefusedError, State, Transition, next_state
+from station.control.states import RefusedError, State, StopReasons, Transition, next_state
 
 #: Next state for each state (rows) and each event (columns); an event marked - is refused.
 DRAWN = """
@@ -57,3 +57,16 @@ def test_fault_lasts_until_a_reset_after_which_devices_must_be_connected_again()
 
 def test_motion_may_start_only_in_ready():
     assert [state for state, event in CELLS if event == "start" and CELLS[state, event] != "-"] == ["READY"]
+
+
+def test_later_cause_of_a_stop_is_added_once() -> None:
+    causes = StopReasons().add("the line is cut").add("stopped by the operator").add("").add("stopped by the operator")
+
+    assert str(causes) == "the line is cut; then stopped by the operator"
+
+
+def test_longer_text_replaces_the_cause_that_it_starts_with() -> None:
+    causes = StopReasons(("the tracker is silent", "axis 1 is lost")).extend("axis 1 is lost; axis 2 is lost")
+
+    assert str(causes) == "the tracker is silent; then axis 1 is lost; axis 2 is lost"
+    assert causes.extend("something else") == causes

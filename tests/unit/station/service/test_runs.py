@@ -12,8 +12,7 @@ from station.control.process import ring_width
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.task import MotionTask
-from station.service.run_request import StartRequest
-from station.service.runs import Runs
+from station.service.runs import Runs, StartRequest
 from station.service.station_file import load_station
 
 

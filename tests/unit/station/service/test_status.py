@@ -17,7 +17,7 @@ from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.devices.interfaces import Condition
-from station.service.run_request import RunRequest, StartRequest
+from station.service.runs import RunRequest, StartRequest
 from station.service.status import StateMonitor
 
 

@@ -222,7 +222,7 @@ def test_a_cancelled_waypoint_check_ends_at_its_next_step():
     from station.config.controllers import DEFAULT_CONTROLLER
     from station.config.motions import Places
     from station.config.robots import load_robot, start_pose
-    from station.service.waypoint_check import check_waypoints
+    from station.service.feasibility import check_waypoints
 
     robot, polls = load_robot("paper"), 0
 

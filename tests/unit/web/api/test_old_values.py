@@ -7,8 +7,8 @@ import pytest
 
 from core.robot.robot import Array
 from station.control.task import Phase
+from station.control.telemetry import DIRECTION_CHANNELS, SENSOR_CHANNELS, TRACKER_CHANNELS, TRUTH_CHANNELS
 from station.devices.interfaces import Severity
-from station.service.stale_channels import DIRECTION_CHANNELS, SENSOR_CHANNELS, TRACKER_CHANNELS, TRUTH_CHANNELS
 from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor

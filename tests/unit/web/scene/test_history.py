@@ -11,11 +11,9 @@ from station.control.follow import TARGET_LOST_S
 from station.control.ring import Timing
 from station.control.states import State
 from station.control.task import Phase
-from station.control.telemetry import Channels
+from station.control.telemetry import Channels, stale_groups
 from station.devices.interfaces import Severity
-from station.service.rig import Rig
-from station.service.stale_channels import stale_groups
-from station.service.station_file import load_station
+from station.service.station_file import Rig, load_station
 from station.service.status import STALE_AFTER_S, StationStatus
 from web.scene.history import MAX_TIP_AGE_S, TipTrace, Validity, validity_of
 from web.scene.marks import TargetMark, signs

@@ -16,8 +16,8 @@ from station.calibration.visiting import measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.loads import ConstantLoad
 from station.control.loop import ControlLoop
-from station.control.settle_and_tare import AVERAGE_S
 from station.control.states import State
+from station.control.task import AVERAGE_S
 from station.lab.config import load_lab
 from station.lab.virtual_bench import virtual_bench
 

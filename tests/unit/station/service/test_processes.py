@@ -12,7 +12,7 @@ from station.control.ring import Ring
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.lab_server import LabServer, devices_at
-from station.service.backend import Backend
+from station.service.processes import Backend
 from station.service.station_file import load_station
 
 MUTE = LabFault(kind="mute", device="stages")

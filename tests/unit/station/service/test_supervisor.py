@@ -6,7 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import pytest
 
 from core.errors import CtrError
-from station.service.single_flight import SingleFlight
+from station.service.supervisor import SingleFlight
 
 
 def test_simultaneous_calls_of_a_single_flight_function_get_the_same_result() -> None:

@@ -11,7 +11,7 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.control.states import State
 from station.recording.read import read_case
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.service.live_recording import LiveRecording
+from station.service.runs import LiveRecording
 from tests.harness.waiting import until
 from tests.tools.kill_recordings import Feed
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from station.control.child_process import StationLife
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import STATION_HEARTBEAT, Ring
-from station.control.station_life import StationLife
 from tests.harness.waiting import until
 
 

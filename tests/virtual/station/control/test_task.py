@@ -10,10 +10,8 @@ from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, SetpointRequest
 from core.control.trajectories import rotated
 from station.config.controllers import DEFAULT_CONTROLLER
 from station.config.motions import CircleMotion, Orders
-from station.control.motion import TimedOrders
 from station.control.states import State
-from station.control.streamed_motion import StreamLimits, StreamRequest
-from station.control.task import MotionTask, Phase
+from station.control.task import MotionTask, Phase, StreamLimits, StreamRequest, TimedOrders
 from station.service.setpoint_stream import SetpointStream, StreamAgreement
 from tests.harness.cases import a_case
 from tests.harness.virtual_station import VirtualStation, usual_case
