@@ -16,13 +16,14 @@ from core.robot.robot import Array
 from station.config.motions import FollowMotion
 from station.control.states import RefusedError
 from station.control.task import StreamRequest
-from station.control.telemetry import TARGET_COLUMNS
 from station.devices.interfaces import DeviceFault, GroundTruth, Severity, TipReading
 
 #: Time without a tracker frame of the target after which the tip comes to rest [s].
 TARGET_LOST_S = 0.25
 #: Time without a tracker frame of the target after which the predictors restart [s].
 TARGET_FORGOTTEN_S = 5.0
+
+_ZERO = np.zeros(3)
 
 
 class Following(NamedTuple):
@@ -125,16 +126,13 @@ class TargetTrack:
         """Return the target's values in a row of telemetry (14,); None if no target is known."""
         if not self._known and (truth is None or truth.target is None):
             return None
-        row = np.zeros(TARGET_COLUMNS)
+        flags, measured, predicted = (0.0, 0.0), _ZERO, _ZERO
         if self._known:
-            row[0], row[1] = self._new, self._following is not None
-            row[2:5] = self._target_at(self._now, predicted=False).position
-            row[5:8] = self._target_at(self._now).position
-        if self._following is not None:
-            row[8:11] = self._following.offset
-        if truth is not None and truth.target is not None:
-            row[11:14] = truth.target
-        return row
+            flags = float(self._new), float(self._following is not None)
+            measured, predicted = (self._target_at(self._now, predicted=way).position for way in (False, True))
+        offset = _ZERO if self._following is None else self._following.offset
+        true = _ZERO if truth is None or truth.target is None else truth.target
+        return np.concatenate((flags, measured, predicted, offset, true))
 
     def _target_at(self, time: float, *, predicted: bool = True) -> TargetState:
         return self._predictors[predicted].at(self._known[predicted], time)

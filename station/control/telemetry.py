@@ -8,11 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, inlined
 from core.control.estimation import FRAME_USED, NEWEST_INDEX, VECTOR_UNITS, estimate_fields
 from core.control.setpoint_request import SetpointRequest
 from core.control.step import Tick
-from core.control.tip_direction import DirectionEstimate
 from core.model.solution import PASSES, STABILITY, fields
 from core.robot.robot import Array, Robot
 from station.control.states import State
@@ -20,8 +19,6 @@ from station.control.task import StreamRequest
 from station.devices.interfaces import GroundTruth, JointReading, Severity, TipReading, WrenchReading
 
 XYZ = ("x", "y", "z")
-#: Number of columns of the tip's direction, and of a target. Both groups are the last columns of a row.
-DIRECTION_COLUMNS, TARGET_COLUMNS = 12, 14
 
 
 class Channel(NamedTuple):
@@ -41,12 +38,9 @@ class Channels:
 
     def __init__(self, robot: Robot) -> None:
         self.all: tuple[Channel, ...] = tuple(_channels(robot))
-        self._at: dict[str, slice] = {}
         self._width = len(self.all)
-        names = [channel.name for channel in self.all]
-        groups = [name.rsplit(".", 1)[0] for name in names]
-        for group in dict.fromkeys(groups):
-            self._at[group] = slice(groups.index(group), groups.index(group) + groups.count(group))
+        groups = [channel.name.rsplit(".", 1)[0] for channel in self.all]
+        self._at = {name: slice(groups.index(name), groups.index(name) + groups.count(name)) for name in groups}
 
     def __len__(self) -> int:
         return len(self.all)
@@ -97,16 +91,8 @@ class Channels:
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
             kind, setpoint.time, position, setpoint.velocity,
+            _directions(tick, truth), _NO_TARGET if target is None else target,
         )  # fmt: skip
-        row[-TARGET_COLUMNS:] = 0.0 if target is None else target
-        directions = row[
-            -TARGET_COLUMNS - DIRECTION_COLUMNS : -TARGET_COLUMNS
-        ]  # directions of the tip: measured, observed, desired, true; 0 if unknown
-        directions[:] = 0.0
-        if memory.direction is not None:
-            _fill_directions(directions, tick, memory.direction)
-        if truth is not None and truth.direction is not None:
-            directions[9:] = truth.direction
         return row
 
     def frozen_row(
@@ -121,77 +107,86 @@ class Channels:
     ) -> Array:
         """Return a copy of the row `last` with new readings, unchanged estimates, and `estimates_frozen` = 1."""
         row = last.copy()
-        row[0], row[1], row[2], row[3] = time, state, phase, 1.0
-        if np.isfinite(joints.positions).all():
-            self.of(row, "joints")[:] = joints.positions
-        self.of(row, "velocity_commanded")[:] = 0.0
-        if np.isfinite(joints.sent).all():
-            self.of(row, "velocity_sent")[:] = joints.sent
-        if np.isfinite(wrenches.wrenches).all():
-            self.of(row, "wrench_raw")[:] = wrenches.wrenches.ravel()
-        self.of(row, "tip_new")[:] = self.of(row, "target_new")[:] = 0.0
-        self.of(row, "trouble")[:] = troubles
+        new = {
+            "time": time, "state": state, "phase": phase, "estimates_frozen": 1.0, "tip_new": 0.0, "target_new": 0.0,
+            "trouble": troubles, "velocity_commanded": 0.0,
+            "joints": joints.positions, "velocity_sent": joints.sent, "wrench_raw": wrenches.wrenches.ravel(),
+        }  # fmt: skip
+        for group, values in new.items():
+            if np.isfinite(values).all():
+                self.of(row, group)[:] = values
         return row
 
 
-def _fill_directions(directions: Array, tick: Tick, direction: DirectionEstimate) -> None:
-    """Write the measured, observed and desired direction of the tip to (12,)."""
-    desired = tick.setpoint.direction
-    directions[:3] = direction.measured if direction.measured_once else 0.0
-    directions[3:6] = direction.observed
-    directions[6:9] = direction.origin if desired is None else desired
+def _directions(tick: Tick, truth: GroundTruth | None) -> Array:
+    """Return the measured, observed, desired and true direction of the tip (12,); 0: unknown."""
+    known, true = tick.memory.direction, None if truth is None else truth.direction
+    if known is None and true is None:
+        return _NO_DIRECTIONS
+    directions = np.zeros((4, 3))
+    if known is not None:
+        desired = tick.setpoint.direction
+        directions[0] = known.measured if known.measured_once else 0.0
+        directions[1] = known.observed
+        directions[2] = known.origin if desired is None else desired
+    if true is not None:
+        directions[3] = true
+    return directions.ravel()
 
 
 _ZERO = np.zeros(3)
 _NO_REQUEST = SetpointRequest(None, np.zeros(3), 0.0, 0.0)
 _NO_TRUTH = GroundTruth(np.zeros(3), np.zeros(3))
+_NO_DIRECTIONS, _NO_TARGET = np.zeros(12), np.zeros(14)
+
+
+@inlined
+def _put(row: Array, at: int, values: Array) -> int:
+    """Write values to the columns from index `at` on; return the index after the last one."""
+    for k in range(values.shape[0]):
+        row[at + k] = values[k]
+    return at + values.shape[0]
 
 
 @compiled
 def _fill(
     row: Array, time: float, state: int, phase: int, new: bool, frame_time: float,
-    stages: int, tracker: int, sensors: int, known: bool, true_tip: Array, true_force: Array,
+    stages: int, tracker: int, sensors: int, truth_known: bool, true_tip: Array, true_force: Array,
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    request_kind: int, request_time: float, request: Array, request_velocity: Array,
+    request_kind: int, request_time: float, request: Array, request_velocity: Array, directions: Array, target: Array,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
+    shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
     row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
     row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[FRAME_USED], loaded[STABILITY]
-    row[10], row[11], row[12], row[13] = stages, tracker, sensors, known
-    shape, free, now, at, n = fields(loaded), fields(unloaded), estimate_fields(estimate), 14, positions.shape[0]
-    newest = now.tips[int(estimate[NEWEST_INDEX])]
-    for k in range(3):
-        row[at + k], row[at + 3 + k] = true_tip[k], true_force[k]
-    at += 6
-    for j in range(n):
-        row[at + j], row[at + n + j], row[at + 2 * n + j] = positions[j], command[j], sent[j]
-    at += 3 * n
+    row[10], row[11], row[12], row[13] = stages, tracker, sensors, truth_known
+    at = _put(row, 14, true_tip)
+    at = _put(row, at, true_force)
+    at = _put(row, at, positions)
+    at = _put(row, at, command)
+    at = _put(row, at, sent)
     for i in range(wrenches.shape[0]):
-        for k in range(6):
-            row[at + 6 * i + k] = wrenches[i, k]
-    at += 6 * wrenches.shape[0]
-    for k in range(3):
-        row[at + k], row[at + 3 + k], row[at + 6 + k] = force[k], moment[k], tip[k]
-        row[at + 9 + k], row[at + 12 + k], row[at + 15 + k] = shape.tip[k], free.tip[k], origin[k] + setpoint[k]
-        row[at + 18 + k], row[at + 21 + k] = u_int[k], now.velocity_observed[k] - u_int[k]
-    at += 24
-    for k in range(sigma.shape[0]):
-        row[at + k] = sigma[k]
-    at += sigma.shape[0]
-    for j in range(n):
-        row[at + j] = at_bound[j]
-    at += n
-    for k in range(3):
-        row[at + k] = newest[k] + now.bias[k]
-    for i in range(now.vectors.shape[0]):
-        for k in range(3):
-            row[at + 3 + 3 * i + k] = now.vectors[i, k]
-    at += 3 + 3 * now.vectors.shape[0]
+        at = _put(row, at, wrenches[i])
+    at = _put(row, at, force)
+    at = _put(row, at, moment)
+    at = _put(row, at, tip)
+    at = _put(row, at, shape.tip)
+    at = _put(row, at, free.tip)
+    at = _put(row, at, origin + setpoint)
+    at = _put(row, at, u_int)
+    at = _put(row, at, known.velocity_observed - u_int)
+    at = _put(row, at, sigma)
+    at = _put(row, at, at_bound)
+    at = _put(row, at, known.tips[int(estimate[NEWEST_INDEX])] + known.bias)
+    for i in range(known.vectors.shape[0]):
+        at = _put(row, at, known.vectors[i])
     row[at], row[at + 1] = request_kind, request_time
-    for k in range(3):
-        row[at + 2 + k], row[at + 5 + k] = request[k], request_velocity[k]
+    at = _put(row, at + 2, request)
+    at = _put(row, at, request_velocity)
+    at = _put(row, at, directions)
+    _put(row, at, target)
 
 
 def _channels(robot: Robot) -> list[Channel]:
