@@ -35,6 +35,9 @@ FALLBACK_STOP_TIMEOUT_S = 8.0
 #: Real-time priority of the thread that watches the control process; it is below that of the control process.
 WATCHER_PRIORITY = PRIORITY
 
+#: Answer to a STOP while there is no control process.
+NOTHING_MOVES = "there is no control process and nothing moves"
+
 ControlReport = StateNotice | DeviceReport | CommandRefused | StopOutcome
 
 
@@ -176,7 +179,7 @@ class ControlHost:
             if self.alive and not self._ended:
                 return self._stop_instead(f"the control process could not stop ({error}) and was ended", deadline)
             if not self._over.wait(self._left(deadline)) or self._fallback is None or not self._driven:
-                return self._outcome(deadline).text or "there is no control process and nothing moves"
+                return self._outcome(deadline).text or NOTHING_MOVES
             return self._fallback(deadline - self._clock.now()).text
 
     def hold(self, cause: str) -> None:

@@ -25,10 +25,6 @@ class VoidError(RefusedError):
     """A command is older than a STOP or a reset, has waited too long, or its client has disconnected."""
 
 
-def _stays() -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class Permit:
     """Permit of one command that moves the robot, from the arrival of its request until it is sent."""
@@ -36,7 +32,7 @@ class Permit:
     permits: "Permits"
     generation: int  #: number of STOPs and resets before the request arrived
     until: float  #: time at which the permit expires, by the station's clock [s]
-    gone: Callable[[], bool] = _stays  #: returns whether the client has disconnected; thread-safe
+    gone: Callable[[], bool] | None = None  #: returns whether the client has disconnected; thread-safe
 
     def check(self, what: str) -> None:
         """Check that the permit still allows the command `what`.
@@ -48,7 +44,7 @@ class Permit:
 
     def lasting(self) -> "Permit":
         """Return a copy of this permit that does not expire, for a procedure that only a STOP or a reset ends."""
-        return replace(self, until=math.inf, gone=_stays)
+        return replace(self, until=math.inf, gone=None)
 
 
 class Permits:
@@ -60,7 +56,7 @@ class Permits:
         self._causes = deque[str](maxlen=MAX_CAUSES)
         self._stop = (0, "")  # generation and cause of the latest STOP
 
-    def issue(self, gone: Callable[[], bool] = _stays) -> Permit:
+    def issue(self, gone: Callable[[], bool] | None = None) -> Permit:
         """Return a permit for a request that arrives now; `gone` returns whether its client has disconnected."""
         return Permit(self, int(self._ring.counters[GENERATION]), self._clock.now() + DEADLINE_S, gone)
 
@@ -86,7 +82,7 @@ class Permits:
                 f"'{what}' is void: the station was {cause} after this request arrived;"
                 " check the robot, then send the request again"
             )
-        if permit.gone():
+        if permit.gone is not None and permit.gone():
             raise VoidError(f"'{what}' is void: its client disconnected before it was executed; send it again and wait")
         if self._clock.now() > permit.until:
             raise VoidError(

@@ -4,7 +4,6 @@ import os
 import threading
 import traceback
 from collections.abc import Callable, Collection, Sequence
-from typing import Any
 
 from station.config.loads import Load, NoLoad
 from station.config.strict import ConfigError
@@ -19,61 +18,46 @@ from station.lab.faults import LabFault
 from station.lab.process import LabBench, LabError, LabHost
 from station.service.control_host import WATCHER_PRIORITY, ControlHost, ControlReport, ExitReport
 from station.service.fallback_stop import NO_STAGES, StopOutcome
-from station.service.permits import Permit
 from station.service.runs import StartRequest
 from station.service.station_file import Rig
 from station.threads import limit_to_one_thread
 
 
-class HardwareRig:
-    """Devices of the station's file; there is no process, no simulated load and no simulated fault."""
-
-    alive = True
-
-    def __init__(self, devices: BenchFile) -> None:
-        self._devices = devices
-
-    def devices(self) -> BenchFile:
-        """Return the devices that the control process has to open."""
-        return self._devices
-
-    def apply_load(self, load: Load, start: float) -> None:
-        """Do nothing: the operator applies real loads."""
-
-    def inject(self, faults: Sequence[LabFault], start: float) -> None:
-        """Do nothing: faults cannot be injected into real devices."""
-
-    def close(self) -> None:
-        """Do nothing: real hardware has no process to end."""
-
-
 class Backend:
-    """Owner of the virtual lab's process, or access to real hardware; its methods are thread-safe."""
+    """Backend that provides the devices: the process of a virtual lab, which applies loads and faults, or real devices.
+
+    Its methods are thread-safe. Real devices exist independently of the station: they need no process, and only the
+    operator applies loads to them.
+    """
 
     def __init__(self, bench: Rig, ring: Ring) -> None:
         self._bench, self._ring = bench, ring
         self._lock = threading.Lock()
-        self._devices: BenchFile | None = None
+        self._devices = bench.devices  # None: not known before the lab has started
         self._motion_start: float | None = None
         self._applied: StartRequest | None = None  # start request whose load and faults are applied now
-        self._host: LabHost | HardwareRig | None = None
+        self._host: LabHost | None = None  # process of the lab; None with real devices
 
     def open(self) -> None:
         """Start the lab, or replace a lab that has died."""
+        bench = self._bench
+        if bench.devices is not None:
+            return
         if self._host is not None:
             self._host.close()
+        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
         # Other threads use the old host until the new one is assigned.
-        self._host, self._devices = self._start(), None
+        self._host, self._devices = LabHost(lab, self._ring.name, ring_width(bench.robot)), None
 
     @property
     def alive(self) -> bool:
-        """Whether the lab's process runs; always true for real hardware."""
-        return self._host is not None and self._host.alive
+        """Whether the lab's process runs; always true for real devices."""
+        return self._bench.devices is not None or (self._host is not None and self._host.alive)
 
     @property
     def pid(self) -> int | None:
-        """Process ID of the lab while it runs; None for real hardware."""
-        return self._host.pid if isinstance(self._host, LabHost) and self._host.alive else None
+        """Process ID of the lab while it runs; None for real devices."""
+        return self._host.pid if self._host is not None and self._host.alive else None
 
     def devices(self) -> BenchFile:
         """Return the devices that the control process has to open; wait for a lab that is starting.
@@ -135,17 +119,10 @@ class Backend:
                 self._host.inject(start.faults, motion_start)
 
     def close(self) -> None:
-        """End the lab's process; with real hardware do nothing."""
+        """End the lab's process; with real devices do nothing."""
         if self._host is not None:
             self._host.close()
             self._host = None
-
-    def _start(self) -> LabHost | HardwareRig:
-        bench = self._bench
-        if bench.devices is not None:
-            return HardwareRig(bench.devices)
-        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
-        return LabHost(lab, self._ring.name, ring_width(bench.robot))
 
 
 #: Time without a tick after which the control process counts as hung [s]; it is then killed and the stages are stopped.
@@ -190,7 +167,7 @@ class ProcessSupervisor:
             0.0  # times of the last check and of the last long delay, by the station's clock [s]
         )
         self._late = 0.0  # latest delay of the watchdog that caused a warning [s]
-        self._control: ControlHost | None = None
+        self.control: ControlHost | None = None  #: host of the present control process; None before `open`
         self._closing, self._changing = threading.Event(), threading.Lock()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog")
 
@@ -203,7 +180,7 @@ class ProcessSupervisor:
 
     def failed(self) -> tuple[str, ...]:
         """Return the labels of the processes that have died or hang; this may wait for a heartbeat."""
-        control = self._control
+        control = self.control
         if control is None:
             return ()
         lab_alive = self.lab.alive and (self.lab.pid is None or self._beats(LAB_HEARTBEAT, HEARTBEAT_TIMEOUT_S))
@@ -215,35 +192,18 @@ class ProcessSupervisor:
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
         found = {"station": os.getpid()}
-        if self._control is not None and self._control.alive:
-            found["control"] = self._control.pid
+        if self.control is not None and self.control.alive:
+            found["control"] = self.control.pid
         if self.lab.pid is not None:
             found["lab"] = self.lab.pid
         return found
 
-    def send_command(self, what: Any, permit: Permit | None = None, **about: Any) -> None:
-        """Send a command to the control process; `about` are further fields of `Command`.
-
-        Raises:
-            VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the state does not allow the command, or the control process does not answer.
-        """
-        if self._control is None:
-            raise RefusedError("the station was not started: there is no control process")
-        self._control.send_command(what, permit, **about)
-
-    def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis; return a warning for the operator, empty when every axis has stopped."""
-        if self._control is None:
-            return "there is no control process and nothing moves"
-        return self._control.stop(cause)
-
     def end_failed(self, failed: Collection[str]) -> None:
         """End the control process, and also the lab if `failed` contains the lab's label."""
-        if self._control is not None:
-            if self._control.alive:
-                self._control.kill(f"it was ended because {' and '.join(failed)} did not respond")
-            self._control.close()
+        if self.control is not None:
+            if self.control.alive:
+                self.control.kill(f"it was ended because {' and '.join(failed)} did not respond")
+            self.control.close()
         if LAB_LABEL in failed:
             self.lab.close()
 
@@ -283,7 +243,7 @@ class ProcessSupervisor:
         """
         with self._changing:
             self._closing.set()
-        return NO_STAGES if self._control is None else self._control.close()
+        return NO_STAGES if self.control is None else self.control.close()
 
     def close(self) -> StopOutcome:
         """End the control process like `end_control`, then the lab."""
@@ -297,7 +257,7 @@ class ProcessSupervisor:
         return is_alive(self._ring, heartbeat, self._clock, patience)
 
     def _start_control(self) -> None:
-        self._control = ControlHost(self._bench, self._ring, self.lab.devices, self._receive, self._on_exit)
+        self.control = ControlHost(self._bench, self._ring, self.lab.devices, self._receive, self._on_exit)
 
     def _receive(self, message: ControlReport) -> None:
         if isinstance(message, StateNotice) and message.state is State.READY:
@@ -318,7 +278,7 @@ class ProcessSupervisor:
                 failures.add(repr(error))
 
     def _check(self) -> None:
-        now, control = self._clock.now(), self._control
+        now, control = self._clock.now(), self.control
         late = now - self._checked_at - POLL_INTERVAL_S if self._checked_at else 0.0
         self._checked_at = now
         if late > LATE_WARNING_S:

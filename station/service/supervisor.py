@@ -27,7 +27,7 @@ from station.devices.interfaces import is_simulated
 from station.lab.faults import LabFault
 from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit, FlightRecorder
-from station.service.control_host import ControlReport, ExitReport, NoReply
+from station.service.control_host import NOTHING_MOVES, ControlReport, ExitReport, NoReply
 from station.service.fallback_stop import StopOutcome
 from station.service.permits import Permit, Permits
 from station.service.processes import CONTROL_LABEL, ProcessSupervisor
@@ -131,11 +131,6 @@ class Supervisor:
         found = self._processes.pids()
         return found if self._runs.pid is None else {**found, "recorder": self._runs.pid}
 
-    @property
-    def recovered(self) -> list[Path]:
-        """Folders of runs that an earlier station left unfinished and whose recordings this station has finished."""
-        return self._runs.recovered
-
     def entered(self, state: State) -> int:
         """Return how often the station has entered a state."""
         return self._state.entered(state)
@@ -148,7 +143,7 @@ class Supervisor:
         `gone` returns whether the client has disconnected. Commands that move the robot, and a reset, have an argument
         `permit` for the permit. Without this argument a command gets a new permit.
         """
-        return self._permits.issue() if gone is None else self._permits.issue(gone)
+        return self._permits.issue(gone)
 
     def check(self, event: Transition, permit: Permit) -> None:
         """Check permit, reservation and state, which refuses a command before the slow check of its motion.
@@ -171,7 +166,7 @@ class Supervisor:
             RecordingError: the run cannot be recorded.
         """
         self._check_free()
-        return self._start_checked(start, permit)
+        return self.start_step(start, permit)
 
     def start_step(self, start: StartRequest, permit: Permit) -> RunRequest:
         """Start a step of the procedure that has reserved the robot.
@@ -179,7 +174,8 @@ class Supervisor:
         Raises:
             VoidError, RefusedError, ConfigError, RecordingError: as in `start`.
         """
-        return self._start_checked(start, permit)
+        self._processes.lab.check(start.faults)
+        return self._start_run(Transition.START, start, permit)
 
     def reserve(self, why: str, permit: Permit) -> None:
         """Reserve the robot for a procedure: only `start_step` moves it until `release`. STOP and reset still work.
@@ -205,7 +201,8 @@ class Supervisor:
         A STOP voids every earlier request for a motion or a reset.
         """
         self._permits.void(cause, stop=True)
-        return self._processes.stop(cause)
+        control = self._processes.control
+        return NOTHING_MOVES if control is None else control.stop(cause)
 
     def reset(self, who: str = "the operator", permit: Permit | None = None) -> str:
         """Reset the station after a person has checked the cause; restart processes that have died or hang.
@@ -229,7 +226,7 @@ class Supervisor:
         failed = self._processes.failed()
         if not failed:
             try:
-                self._processes.send_command(Transition.RESET, self._reset_permit)
+                self._send(Transition.RESET, self._reset_permit)
             except NoReply:
                 failed = self._processes.failed() or (CONTROL_LABEL,)
             except RefusedError:
@@ -293,7 +290,7 @@ class Supervisor:
         if self.bench.on_operator_loss == "hold" and self._state.state is State.RUNNING:
             cause = "the operator has disconnected; this station then ends a run in HOLD (on_operator_loss = 'hold')"
             with contextlib.suppress(RefusedError):  # the refusal means that the run has just ended
-                self._processes.send_command(Transition.HOLD, cause=cause)
+                self._send(Transition.HOLD, cause=cause)
 
     def apply_load(self, load: Load) -> None:
         """Apply a load to the virtual lab's tip now; the load of the next motion replaces this load."""
@@ -324,11 +321,13 @@ class Supervisor:
 
     def _send_if_free(self, what: Transition | Literal["tare", "jog"], permit: Permit | None, **about: Any) -> None:
         self._check_free()
-        self._processes.send_command(what, permit or self.permit(), **about)
+        self._send(what, permit or self.permit(), **about)
 
-    def _start_checked(self, start: StartRequest, permit: Permit) -> RunRequest:
-        self._processes.lab.check(start.faults)
-        return self._start_run(Transition.START, start, permit)
+    def _send(self, what: Transition | Literal["tare", "jog"], permit: Permit | None = None, **about: Any) -> None:
+        control = self._processes.control
+        if control is None:
+            raise RefusedError("the station was not started: there is no control process")
+        control.send_command(what, permit, **about)
 
     @property
     def simulated(self) -> bool:
@@ -347,7 +346,7 @@ class Supervisor:
                 permit.check(what)  # raises if a STOP arrived or the recorder took too long
                 raise
             try:
-                self._processes.send_command(what, permit, task=start.task, run=run.number)
+                self._send(what, permit, task=start.task, run=run.number)
             except RefusedError:
                 self._runs.refused(run)
                 raise

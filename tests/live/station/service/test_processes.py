@@ -84,16 +84,16 @@ def test_stages_stop_and_another_control_process_starts_after_a_kill_of_the_firs
     assert until(started.stopped)[0].text.startswith("3 stages on ")
     assert processes.failed() == (CONTROL_LABEL,)
     with pytest.raises(RefusedError, match="has ended"):
-        processes.send_command(Transition.STOP)
+        processes.control.send_command(Transition.STOP)
     started.reports.clear()
     processes.end_failed(processes.failed())
     processes.restart()
     # A starting process answers every command and does not lose a STOP.
     with pytest.raises(RefusedError):
-        processes.send_command("tare")
-    processes.stop()
+        processes.control.send_command("tare")
+    processes.control.stop()
     until(lambda: StateNotice(State.OFF, "stopped by the operator", 0) in started.reports)
-    processes.send_command(Transition.CONNECT)
+    processes.control.send_command(Transition.CONNECT)
     until(lambda: started.state() is State.READY)
     assert processes.failed() == ()
     assert processes.pids()["control"] != first
@@ -107,7 +107,7 @@ def test_hung_processes_are_killed_and_replaced_and_the_stages_are_stopped(
     monkeypatch.setattr(processes, "_tick_timeout", 3600.0)  # the watchdog must not kill the process first
     before = processes.pids()
     os.kill(before["control"], signal.SIGSTOP)
-    warning = processes.stop()
+    warning = processes.control.stop()
     assert warning.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
     assert until(started.stopped)[0].text.startswith("3 stages on ")
 
@@ -131,11 +131,11 @@ def test_recording_of_a_run_is_reported_until_it_is_finished(
 ) -> None:
     runs = started.runs
     run = runs.prepare(hold(paper))
-    started.processes.send_command(Transition.START, task=run.start.task, run=run.number)
+    started.processes.control.send_command(Transition.START, task=run.start.task, run=run.number)
     runs.accepted(run)
     until(lambda: started.state() is State.RUNNING)
     assert runs.recording
-    started.processes.send_command(Transition.STOP)
+    started.processes.control.send_command(Transition.STOP)
     until(lambda: started.state() is State.STOPPED)
     runs.on_state(StateNotice(State.STOPPED, "stopped by the operator", run.number))
     until(lambda: not runs.recording)
