@@ -59,11 +59,8 @@ class Setpoints:
         self._socket: ClientConnection | None = None
         self._start_time = 0.0
         self.run = ""  #: id of the run
-        self.start: tuple[float, float, float] = (
-            math.nan,
-            math.nan,
-            math.nan,
-        )  #: tip at the start of the run, in the world frame [m]
+        #: tip at the start of the run, in the world frame [m]
+        self.start: tuple[float, float, float] = (math.nan, math.nan, math.nan)
         #: direction of the tip at the start of the run, in the world frame; None: the direction is not controlled
         self.direction: tuple[float, float, float] | None = None
         self.newest: dict[str, Any] = {}  #: latest answer of the station; `go` lists its keys
@@ -239,9 +236,8 @@ class Station:
 
     def stop(self) -> str:
         """Stop every axis, in every state. Return a warning for the operator; empty when every axis has stopped."""
-        return self._send("POST", "/api/stop", {})[
-            "note"
-        ]  # `_send`, not `_request`: a check of the format must not delay or prevent a STOP
+        # `_send`, not `_request`: a check of the format must not delay or prevent a STOP.
+        return self._send("POST", "/api/stop", {})["note"]
 
     def reset(self) -> None:
         """Reset the station after a person has checked the cause of a STOP, HOLD or FAULT."""

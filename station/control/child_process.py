@@ -1,10 +1,4 @@
-"""Child processes of the station: start, messages through a pipe, end, and evidence that a process is alive.
-
-A hung process exists, but was stopped by a signal, by swapping or by a suspended computer; its heartbeat stops. The
-watchdog thread of the station process needs the interpreter's lock for its heartbeat. On a busy computer other threads
-may keep the lock for seconds. Therefore the control process also queries the kernel: a process that uses processor time
-is alive, and a process that is suspended or starved uses none.
-"""
+"""Child processes of the station: start, messages through a pipe, end, and evidence that a process is alive."""
 
 import contextlib
 import math
@@ -105,7 +99,11 @@ DOUBT_S, QUERY_INTERVAL_S = 0.2, 0.05
 
 
 class StationLife:
-    """Evidence that the station process is alive: its heartbeat, and the processor time that it uses."""
+    """Evidence in the control process that the station process is alive: its heartbeat and its processor time.
+
+    The heartbeat needs the interpreter's lock, which other threads of a busy station process may keep for seconds.
+    Therefore the kernel is queried, too: a process that is suspended or starved uses no processor time.
+    """
 
     def __init__(self, ring: Ring, clock: StationClock, pid: int) -> None:
         self._ring, self._clock, self._pid = ring, clock, pid
@@ -135,7 +133,10 @@ HEARTBEAT_INTERVAL_S = 0.01
 
 
 def is_alive(ring: Ring, heartbeat: int, clock: StationClock, patience: float) -> bool:
-    """Return whether a process writes its heartbeat (an index of the ring's numbers) within `patience` [s]."""
+    """Return whether a process writes its heartbeat (an index of the ring's numbers) within `patience` [s].
+
+    A hung process exists, but was stopped by a signal, by swapping or by a suspended computer.
+    """
     before, end = float(ring.numbers[heartbeat]), clock.now() + patience
     while float(ring.numbers[heartbeat]) == before:
         if clock.now() > end:

@@ -28,8 +28,6 @@ from station.control.monitors import (
     blocks_motion,
     device_faults,
     not_finite,
-    severities,
-    worst_fault,
 )
 from station.control.states import LATCHED, RefusedError, State, StopReasons, Transition, next_state
 from station.control.task import (
@@ -40,7 +38,6 @@ from station.control.task import (
     MotionTask,
     Phase,
     Progress,
-    RunMotion,
     SettlePhase,
     Space,
     StreamedMotion,
@@ -85,7 +82,7 @@ class ControlLoop:
         self._troubles = NO_FAULT
         self._jog: Jog | None = None
         self._after_homing: MotionTask | None = None  # task to start after homing
-        self._motion: RunMotion | None = None  # motion of the active task while the robot moves
+        self._motion: TimedMotion | StreamedMotion | TargetTrack | None = None  # motion of the task in progress
         self._tare: Array | None = None
         self._rest: SettlePhase | None = None  # measurement at rest, before a motion or for a requested tare
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
@@ -214,7 +211,7 @@ class ControlLoop:
         if space == "direction" and direction is None:
             raise RefusedError(NO_DIRECTION_CONTROL)
         self.request(Transition.START)
-        self._jog = Jog.start(space, velocity, now, None if direction is None else direction.observed)
+        self._jog = Jog(space, velocity, now, None if direction is None else direction.observed)
         self._rest = None
         if self._memory is not None:
             self._memory = restart_setpoints_here(self._memory)
@@ -292,13 +289,8 @@ class ControlLoop:
 
     def _check_devices(self, now: float) -> DeviceFault | None:
         """Change the state after a fault that forbids motion; return the worst such fault, None without one."""
-        found = device_faults(self.devices, now)
-        fault = worst_fault(found)
-        if fault is None:
-            self._troubles = NO_FAULT
-            return None
-        self._troubles = severities(found)
-        if not blocks_motion(fault):
+        self._troubles, fault = device_faults(self.devices, now)
+        if fault is None or not blocks_motion(fault):
             return None
         if self.state in (State.READY, State.RUNNING) or (
             fault.severity is Severity.FAULT and self.state not in (State.OFF, State.FAULT)

@@ -22,9 +22,8 @@ class Command(NamedTuple):
     velocity: Array | None = None  #: velocity of a jog [rad/s or m/s]
     cause: str = ""  #: reason of a HOLD or STOP
     until: float = math.inf  #: deadline after which the command is rejected, by the station's clock [s]
-    generation: int | None = (
-        None  #: number of STOPs and resets before the request; a later one voids the command; None: never void
-    )
+    #: number of STOPs and resets before the request; a later one voids the command; None: never void
+    generation: int | None = None
 
 
 class Reply(NamedTuple):

@@ -1,14 +1,8 @@
 """Monitors that end a motion: faults of devices, a snap of the tubes, a stalled or overloaded tip, and late ticks.
 
 A tube that snaps jumps by centimetres, independent of the motors. The loaded model predicts most snaps: its stability
-falls to zero. Other snaps appear as a sudden difference between the measured tip and the model's tip.
-
-Near a singular pose the controller damps the joints; at a limit the joints stop. Both may be temporary, because the
-load changes. If the tip makes no progress for 5 s under such a condition, the motion ends in HOLD with the reason. A
-force on the tip above the bound of tubes and sensors (`Limits.overload`) ends the motion after 0.1 s.
-
-A tick that starts a period or more after its deadline is an overrun; the loop skips the missed periods and never
-catches up. The thresholds are set in the station file.
+falls to zero. Other snaps appear as a sudden difference between the measured tip and the model's tip. Near a singular
+pose the controller damps the joints; at a limit the joints stop. Both may be temporary, because the load changes.
 """
 
 import math
@@ -193,7 +187,11 @@ class OverrunLimits(Strict):
 
 
 class Overruns:
-    """Counter of the overruns of a control loop whose ticks have the given period [s]."""
+    """Counter of the overruns of a control loop whose ticks have the given period [s].
+
+    An overrun is a tick that starts a period or more after its deadline; the loop skips the missed periods and never
+    catches up.
+    """
 
     def __init__(self, limits: OverrunLimits, period: float) -> None:
         self._limits = limits
@@ -223,10 +221,9 @@ class Overruns:
         self._missed += skipped
         recent.append((now, skipped))
         reason = f"; {slow or 'other programs on this computer use its processors: see ctr-station doctor'}"
-        if self._in_a_row >= self._limits.fault_in_a_row:
-            return DeviceFault(Severity.FAULT, f"the control loop was late {self._in_a_row} times in a row{reason}")
-        if self._in_a_row >= self._limits.hold_in_a_row:
-            return DeviceFault(Severity.HOLD, f"the control loop was late {self._in_a_row} times in a row{reason}")
+        if self._in_a_row >= min(self._limits.fault_in_a_row, self._limits.hold_in_a_row):
+            severity = Severity.FAULT if self._in_a_row >= self._limits.fault_in_a_row else Severity.HOLD
+            return DeviceFault(severity, f"the control loop was late {self._in_a_row} times in a row{reason}")
         if self._missed > self._max_missed:
             return DeviceFault(
                 Severity.HOLD, f"the control loop has missed {self._missed} periods in {OVERRUN_WINDOW_S:g} s{reason}"
@@ -234,9 +231,6 @@ class Overruns:
         return None
 
 
-Troubles = tuple[
-    DeviceFault | None, DeviceFault | None, DeviceFault | None
-]  # faults of stages, tracker and force sensors
 #: Severities of stages, tracker and force sensors while no device has a fault.
 NO_FAULT = (0, 0, 0)
 #: Transition that a fault of each severity causes.
@@ -245,24 +239,20 @@ EVENT_BY_SEVERITY = MappingProxyType(
 )
 
 
-def device_faults(devices: Devices, now: float) -> Troubles:
-    """Return the faults of stages, tracker and force sensors at `now` [s]."""
-    return devices.stages.trouble(now), devices.tracker.trouble(now), devices.sensors.trouble(now)
+def device_faults(devices: Devices, now: float) -> tuple[tuple[int, int, int], DeviceFault | None]:
+    """Return the severities of stages, tracker and force sensors at `now` [s] (0: no fault), and the worst fault.
 
-
-def worst_fault(found: Troubles) -> DeviceFault | None:
-    """Return the fault with the highest severity, of equal faults the first; None without a fault."""
-    result = None
-    for trouble in found:
-        if trouble is not None and (result is None or trouble.severity > result.severity):
-            result = trouble
-    return result
-
-
-def severities(found: Troubles) -> tuple[int, int, int]:
-    """Return the severities of stages, tracker and force sensors; 0 without a fault."""
-    stages, tracker, sensors = (0 if one is None else int(one.severity) for one in found)
-    return stages, tracker, sensors
+    Of equal faults the first counts.
+    """
+    found = devices.stages.trouble(now), devices.tracker.trouble(now), devices.sensors.trouble(now)
+    worst = None
+    for fault in found:
+        if fault is not None and (worst is None or fault.severity > worst.severity):
+            worst = fault
+    if worst is None:
+        return NO_FAULT, None
+    stages, tracker, sensors = (0 if fault is None else int(fault.severity) for fault in found)
+    return (stages, tracker, sensors), worst
 
 
 def blocks_motion(trouble: DeviceFault | None) -> bool:

@@ -37,7 +37,8 @@ def request_realtime(*, fifo: bool, core: int | None) -> RealtimeRights:
     granted = fifo and request_fifo()
     if fifo and not granted:
         refused.append("SCHED_FIFO is refused: the loop runs with more jitter; ctr-station doctor shows how to get it")
-    disable_garbage_collection()
+    freeze_garbage_collection()
+    gc.disable()  # the control loop needs no collection, because it creates no reference cycles
     return RealtimeRights(granted, tuple(refused))
 
 
@@ -162,12 +163,6 @@ def load() -> str:
     """Return a text with the computer's load: the mean number of runnable programs in the last minute."""
     processors = f"{os.cpu_count()} processors"
     return f"load {os.getloadavg()[0]:.0f} on {processors}" if hasattr(os, "getloadavg") else processors
-
-
-def disable_garbage_collection() -> None:
-    """Disable garbage collection; the control loop does not need it, because it creates no reference cycles."""
-    freeze_garbage_collection()
-    gc.disable()
 
 
 def freeze_garbage_collection() -> None:

@@ -39,9 +39,7 @@ class Transition(StrEnum):
     STOP = "stop"
     FAULT = "fault"
     RESET = "reset"
-    RECONNECT = (
-        "reconnect"  #: a reset while the tracker or a sensor has a fault: that device is searched for and set up again
-    )
+    RECONNECT = "reconnect"  #: a reset while the tracker or a sensor has a fault, which is then connected again
 
 
 TRANSITIONS: dict[tuple[State, Transition], State] = {

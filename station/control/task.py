@@ -17,7 +17,6 @@ from core.control.trajectories import JointMotion, Setpoint, rotated
 from core.robot.robot import Array
 from station.config.motions import FollowMotion, Orders
 from station.control.monitors import Margins
-from station.devices.interfaces import DeviceFault
 
 #: Time at rest in which the filters settle [s].
 SETTLE_S = 0.5
@@ -60,18 +59,6 @@ APPROACH_RATE_HZ = 2.0
 ARRIVAL_TOLERANCE = 2e-3
 
 
-def approach(joints: Array, start: Array, top: Array) -> Array | None:
-    """Return the joint velocities (n,) [rad/s or m/s] from `joints` (n,) toward `start` (n,), or None after arrival.
-
-    `joints` and `start` are joint positions [rad or m]; `top` (n,) are the top speeds [rad/s or m/s].
-    """
-    distance = (start - joints) / top
-    longest = np.abs(distance).max()
-    if longest <= ARRIVAL_TOLERANCE:
-        return None
-    return distance * min(APPROACH_RATE_HZ, SPEED_SHARE / longest) * top
-
-
 #: Speed of the position setpoint [m/s] and of the direction setpoint [rad/s] below which the tip counts as at rest.
 REST_SPEED_M_S, REST_TURN_RAD_S = 1e-4, 1e-3
 
@@ -90,9 +77,8 @@ class StreamLimits:
     bounds: MotionBounds = DEFAULT_MOTION_BOUNDS
     silence: float = 0.2  #: time without a message after which the tip comes to rest [s]
     end: float = 2.0  #: time without a message after which the motion ends [s]
-    turning: MotionBounds = (
-        DEFAULT_TURN_BOUNDS  #: bounds of the streamed direction's angular velocity and acceleration [rad/s], [rad/s^2]
-    )
+    #: bounds of the streamed direction's angular velocity and acceleration [rad/s], [rad/s^2]
+    turning: MotionBounds = DEFAULT_TURN_BOUNDS
 
 
 class StreamedMotion:
@@ -128,26 +114,6 @@ class StreamedMotion:
 
 #: Time without a tracker frame after which the outer loop's correction is frozen [s]: four periods of the tracker.
 FREEZE_AFTER_S = 0.1
-
-
-class RunMotion(Protocol):
-    """Interface of the motions of a run: `TimedMotion`, `StreamedMotion` and `TargetTrack`."""
-
-    def order(
-        self, now: float, blind: float, request: StreamRequest | None
-    ) -> Setpoint | JointMotion | DeviceFault | None:
-        """Return the order of this tick: a setpoint of the tip, or joint velocities.
-
-        Args:
-            now: time [s].
-            blind: time since the last tracker frame [s]; 0 if this time is at most `FREEZE_AFTER_S`, or if the
-                controller has an observer.
-            request: latest setpoint request for this run's streamed tip.
-
-        Returns:
-            The order; a fault that ends the run; None after the end of the motion.
-        """
-        ...
 
 
 class TimedOrders(Protocol):
@@ -186,41 +152,37 @@ JOG_TIMEOUT_S = 0.3
 Space = Literal["joints", "tip", "direction"]
 
 
-@dataclass
 class Jog:
     """One jog, from the first press of the operator's button until its release."""
 
-    space: Space
-    velocity: (
-        Array  #: velocity of the joints (n,) [rad/s or m/s], of the tip (3,) [m/s] or of its direction (3,) [rad/s]
-    )
-    renewed: float  #: time of the last renewal [s]
-    offset: Array  #: (3,) displacement of the tip's setpoint since the start [m]
-    direction: Array | None  #: (3,) desired direction of the tip; None: keep the direction of the start
+    def __init__(self, space: Space, velocity: Array, now: float, pointing: Array | None) -> None:
+        """Start at `now` [s] with a velocity (n,) of `space`; see `ControlLoop.jog`.
 
-    @classmethod
-    def start(cls, space: Space, velocity: Array, now: float, pointing: Array | None = None) -> "Jog":
-        """Return a new jog; `pointing` (3,) is the present direction of the tip, needed for a jog of the direction."""
-        return cls(space, velocity, now, np.zeros(3), pointing if space == "direction" else None)
+        `pointing` (3,) is the present direction of the tip, needed for a jog of the direction.
+        """
+        self._space, self._velocity, self._renewed = space, velocity, now
+        self._offset = np.zeros(3)  # displacement of the tip's setpoint since the start [m]
+        # Desired direction of the tip; None: keep the direction of the start.
+        self._direction = pointing if space == "direction" else None
 
     def renew(self, space: Space, velocity: Array, now: float) -> bool:
         """Renew the jog with a velocity; return False if `space` differs, because another space needs a new jog."""
-        if space != self.space:
+        if space != self._space:
             return False
-        self.velocity, self.renewed = velocity, now
+        self._velocity, self._renewed = velocity, now
         return True
 
     def order(self, now: float, period: float) -> JointMotion | Setpoint | None:
         """Return this tick's joint velocities or setpoint; None after the client has stopped renewing the jog."""
-        if now - self.renewed > JOG_TIMEOUT_S:
+        if now - self._renewed > JOG_TIMEOUT_S:
             return None
-        if self.space == "joints":
-            return JointMotion(self.velocity)
-        if self.direction is not None:
-            self.direction = rotated(self.direction, period * self.velocity)
-            return Setpoint(self.offset, np.zeros(3), self.direction, self.velocity)
-        self.offset = self.offset + period * self.velocity
-        return Setpoint(self.offset, self.velocity)
+        if self._space == "joints":
+            return JointMotion(self._velocity)
+        if self._direction is not None:
+            self._direction = rotated(self._direction, period * self._velocity)
+            return Setpoint(self._offset, np.zeros(3), self._direction, self._velocity)
+        self._offset = self._offset + period * self._velocity
+        return Setpoint(self._offset, self._velocity)
 
 
 class Phase(IntEnum):
@@ -250,8 +212,18 @@ class MotionTask:
         return self.orders.follow if isinstance(self.orders, Orders) else None
 
     def approach(self, joints: Array) -> Array | None:
-        """Return velocities (n,) from `joints` (n,) toward the start pose; None after arrival."""
-        return None if self.start is None else approach(joints, self.start, self.controller.limits.speed)
+        """Return the joint velocities (n,) [rad/s or m/s] from `joints` (n,) toward the start pose; None after arrival.
+
+        All joints arrive together.
+        """
+        if self.start is None:
+            return None
+        top = self.controller.limits.speed
+        distance = (self.start - joints) / top
+        longest = np.abs(distance).max()
+        if longest <= ARRIVAL_TOLERANCE:
+            return None
+        return distance * min(APPROACH_RATE_HZ, SPEED_SHARE / longest) * top
 
 
 @dataclass(frozen=True)

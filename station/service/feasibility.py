@@ -9,7 +9,7 @@ import bisect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -203,49 +203,48 @@ def suggest_motion(
 
 def _slower(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
     """Return the motion slowed by `factor` and its description; None for a motion without a speed."""
+    change: dict[str, Any]
     match motion:
         case CircleMotion():
-            period = _round(motion.period * factor)
-            return motion.model_copy(update={"period": period}), f"a period of {format_quantity(period, 's')}"
+            change = {"period": _round(motion.period * factor)}
+            words = f"a period of {format_quantity(change['period'], 's')}"
         case HelixMotion():
-            turn = _round(motion.turn * factor)
-            return motion.model_copy(update={"turn": turn}), f"{format_quantity(turn, 's')} for one turn"
+            change = {"turn": _round(motion.turn * factor)}
+            words = f"{format_quantity(change['turn'], 's')} for one turn"
         case SinusoidMotion():
-            frequency = _round(motion.frequency / factor)
-            return motion.model_copy(
-                update={"frequency": frequency}
-            ), f"a frequency of {format_quantity(frequency, 'Hz')}"
+            change = {"frequency": _round(motion.frequency / factor)}
+            words = f"a frequency of {format_quantity(change['frequency'], 'Hz')}"
         case WaypointsMotion():
-            points = tuple((time * factor, *position) for time, *position in motion.points)
-            return motion.model_copy(update={"points": points}), f"times {factor:g} times as long"
+            change = {"points": tuple((time * factor, *position) for time, *position in motion.points)}
+            words = f"times {factor:g} times as long"
         case _:
             return None
+    return motion.model_copy(update=change), words
 
 
 def _smaller(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
     """Return the motion scaled by `factor` and its description; None for a motion without a size."""
+    change: dict[str, Any]
     match motion:
         case CircleMotion():
-            radius = _round(motion.radius * factor)
-            return motion.model_copy(update={"radius": radius}), f"a radius of {format_quantity(radius, 'm')}"
+            change = {"radius": _round(motion.radius * factor)}
+            words = f"a radius of {format_quantity(change['radius'], 'm')}"
         case HelixMotion():
-            radius, pitch = _round(motion.radius * factor), _round(motion.pitch * factor)
-            changed = motion.model_copy(update={"radius": radius, "pitch": pitch})
-            return changed, f"a radius of {format_quantity(radius, 'm')} and a pitch of {format_quantity(pitch, 'm')}"
+            change = {"radius": _round(motion.radius * factor), "pitch": _round(motion.pitch * factor)}
+            radius, pitch = (format_quantity(length, "m") for length in change.values())
+            words = f"a radius of {radius} and a pitch of {pitch}"
         case SinusoidMotion():
-            amplitude = _round(motion.amplitude * factor)
-            return motion.model_copy(
-                update={"amplitude": amplitude}
-            ), f"an amplitude of {format_quantity(amplitude, 'm')}"
+            change = {"amplitude": _round(motion.amplitude * factor)}
+            words = f"an amplitude of {format_quantity(change['amplitude'], 'm')}"
         case StepMotion():
-            x, y, z = (_round(factor * value) for value in motion.offset)
-            words = f"an offset of {', '.join(format_quantity(value, 'm') for value in (x, y, z))}"
-            return motion.model_copy(update={"offset": (x, y, z)}), words
+            change = {"offset": tuple(_round(factor * value) for value in motion.offset)}
+            words = f"an offset of {', '.join(format_quantity(value, 'm') for value in change['offset'])}"
         case WaypointsMotion():
             points = tuple((time, *(factor * value for value in position)) for time, *position in motion.points)
-            return motion.model_copy(update={"points": points}), f"offsets {factor:g} times as large"
+            change, words = {"points": points}, f"offsets {factor:g} times as large"
         case _:
             return None
+    return motion.model_copy(update=change), words
 
 
 def _round(value: float) -> float:

@@ -163,9 +163,7 @@ class ProcessSupervisor:
         self._bench, self._ring, self._clock = bench, ring, bench.clock
         self._on_report, self._on_exit, self._problem = on_report, on_exit, problem
         self._tick_timeout = FIRST_TICKS_TIMEOUT_S
-        self._checked_at = self._late_at = (
-            0.0  # times of the last check and of the last long delay, by the station's clock [s]
-        )
+        self._checked_at = self._late_at = 0.0  # times of the last check and of the last long delay [s]
         self._late = 0.0  # latest delay of the watchdog that caused a warning [s]
         self.control: ControlHost | None = None  #: host of the present control process; None before `open`
         self._closing, self._changing = threading.Event(), threading.Lock()
@@ -183,11 +181,15 @@ class ProcessSupervisor:
         control = self.control
         if control is None:
             return ()
-        lab_alive = self.lab.alive and (self.lab.pid is None or self._beats(LAB_HEARTBEAT, HEARTBEAT_TIMEOUT_S))
-        found = () if lab_alive else (LAB_LABEL,)
+        ring, clock = self._ring, self._clock
+        lab_alive = self.lab.alive and (
+            self.lab.pid is None or is_alive(ring, LAB_HEARTBEAT, clock, HEARTBEAT_TIMEOUT_S)
+        )
         # After the end of a lab the control process has to be restarted, too, to find the devices of the new lab.
         patience = max(HEARTBEAT_TIMEOUT_S, self._tick_timeout)
-        return found if lab_alive and control.alive and self._beats(HEARTBEAT, patience) else (*found, CONTROL_LABEL)
+        if lab_alive and control.alive and is_alive(ring, HEARTBEAT, clock, patience):
+            return ()
+        return (CONTROL_LABEL,) if lab_alive else (LAB_LABEL, CONTROL_LABEL)
 
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
@@ -245,16 +247,12 @@ class ProcessSupervisor:
             self._closing.set()
         return NO_STAGES if self.control is None else self.control.close()
 
-    def close(self) -> StopOutcome:
+    def close(self) -> None:
         """End the control process like `end_control`, then the lab."""
-        stopped = self.end_control()
+        self.end_control()
         self.lab.close()
         if self._watchdog.is_alive():
             self._watchdog.join(timeout=self._clock.real(3.0))
-        return stopped
-
-    def _beats(self, heartbeat: int, patience: float) -> bool:
-        return is_alive(self._ring, heartbeat, self._clock, patience)
 
     def _start_control(self) -> None:
         self.control = ControlHost(self._bench, self._ring, self.lab.devices, self._receive, self._on_exit)

@@ -85,11 +85,6 @@ class StationService:
         with self._lock:
             self._settings = self._settings.model_copy(update={"controller": controller})
 
-    def set_load(self, load: Load) -> None:
-        """Set the load of the next free motion."""
-        with self._lock:
-            self._settings = self._settings.model_copy(update={"load": load})
-
     def start_motion(
         self,
         trajectory: TipMotion | None = None,

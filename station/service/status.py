@@ -53,39 +53,26 @@ class StateMonitor:
     def __init__(self, ring: Ring, channels: Channels, clock: StationClock) -> None:
         self._ring, self._channels, self._clock = ring, channels, clock
         self._lock = threading.RLock()
-        self._reported, self._cause = State.OFF, ""
+        self.reported = State.OFF  #: state that the control process has reported last; `state` may be slightly newer
+        self.cause = ""  #: cause of the state that was reported last
+        self.entered: Counter[State] = Counter()  #: how often the station has entered each state
+        self.devices: tuple[DeviceStatus, ...] = ()  #: devices as last reported; empty before the first report
+        self.refusals: tuple[str, ...] = ()  #: warnings about settings that the system has refused the control process
         self._end = ""  # text about the end of the control process, with the earlier causes
-        self._entered: Counter[State] = Counter()
-        self._devices: tuple[DeviceStatus, ...] = ()
-        self._refused: tuple[str, ...] = ()
         self._at_bound: deque[tuple[float, Array]] = deque(maxlen=SATURATION_SAMPLES)
 
     @property
     def state(self) -> State:
         """Present state of the station."""
         with self._lock:
-            return self._reported if self._reported in STATION_STATES else State(int(self._ring.counters[STATE]))
-
-    @property
-    def reported(self) -> State:
-        """State that the control process has reported last; `state` may be slightly newer."""
-        return self._reported
-
-    @property
-    def cause(self) -> str:
-        """Cause of the state that was reported last."""
-        return self._cause
-
-    def entered(self, state: State) -> int:
-        """Return how often the station has entered a state."""
-        return self._entered[state]
+            return self.reported if self.reported in STATION_STATES else State(int(self._ring.counters[STATE]))
 
     def set_reported(self, state: State, cause: str) -> bool:
         """Store a reported state; return whether it differs from the previous one."""
         with self._lock:
-            changed = self._reported is not state
-            self._reported, self._cause = state, cause
-            self._entered[state] += changed
+            changed = self.reported is not state
+            self.reported, self.cause = state, cause
+            self.entered[state] += changed
         return changed
 
     def fault(self, how: str, stages: str) -> str:
@@ -96,41 +83,28 @@ class StateMonitor:
             stages: text about the stages until `set_stop_outcome` is called; empty if no process has driven the stages.
         """
         with self._lock:
-            before = StopReasons().add(self._cause if self._reported in LATCHED else "")
+            before = StopReasons().add(self.cause if self.reported in LATCHED else "")
             # A process that ends after its own fault has already reported the cause.
-            self._end = str(before if self._reported is State.FAULT else before.add(how))
-            self._reported = State.FAULT
-            self._cause = f"{self._end}; {stages or RESET_HINT}"
-            self._entered[State.FAULT] += 1
-            return self._cause
+            self._end = str(before if self.reported is State.FAULT else before.add(how))
+            self.reported = State.FAULT
+            self.cause = f"{self._end}; {stages or RESET_HINT}"
+            self.entered[State.FAULT] += 1
+            return self.cause
 
     def set_stop_outcome(self, text: str) -> None:
         """Store the outcome of stopping the stages after the control process has ended."""
         with self._lock:
             if self._end:
-                self._cause = f"{self._end}; {text}; {RESET_HINT}"
+                self.cause = f"{self._end}; {text}; {RESET_HINT}"
 
     def forget(self) -> None:
         """Clear the reported state before the control process is restarted."""
         with self._lock:
-            self._reported, self._cause, self._end = State.OFF, "", ""
-
-    def set_devices(self, devices: tuple[DeviceStatus, ...]) -> None:
-        """Store the reported status of the devices."""
-        self._devices = devices
-
-    def set_refusals(self, warnings: tuple[str, ...]) -> None:
-        """Store warnings about settings that the operating system has refused to the control process."""
-        self._refused = warnings
-
-    @property
-    def devices(self) -> tuple[DeviceStatus, ...]:
-        """Devices as last reported; empty before the first report."""
-        return self._devices
+            self.reported, self.cause, self._end = State.OFF, "", ""
 
     def device_problems(self) -> str:
         """Return the messages of all devices with a problem, or the name of the state if there are none."""
-        return "; ".join(device.text for device in self._devices if device.text) or self._reported.name
+        return "; ".join(device.text for device in self.devices if device.text) or self.reported.name
 
     def snapshot(
         self, run: RunRequest | None, recording: bool, reserved: str, warnings: tuple[str, ...]
@@ -155,8 +129,8 @@ class StateMonitor:
             age=self._clock.now() - float(numbers[HEARTBEAT]),
             timing=ring.timing(),
             values=values,
-            devices=self._devices,
-            warnings=(*warnings, *self._refused, *stuck, *run_warnings, *saturated),
+            devices=self.devices,
+            warnings=(*warnings, *self.refusals, *stuck, *run_warnings, *saturated),
             reserved=reserved,
             stale_groups=frozenset() if row is None else stale_groups(self._channels, row),
         )
@@ -165,7 +139,7 @@ class StateMonitor:
         """Return the present state and its cause; the cause arrives shortly after the state and is empty until then."""
         with self._lock:
             state = self.state
-            return state, self._cause if state in LATCHED and state is self._reported else ""
+            return state, self.cause if state in LATCHED and state is self.reported else ""
 
     def _saturation(self, values: Mapping[str, Array]) -> tuple[str, ...]:
         """Return a warning while joints are at their limits because the tip follows a target."""

@@ -86,18 +86,17 @@ class Supervisor:
         self._reset_once = SingleFlight(self._reset)
         self._permits = Permits(self.ring, bench.clock)
         self._reset_permit = self._permits.issue().lasting()  # permit of the newest request for a reset
-        self._starting = (
-            threading.Lock()
-        )  # locked from the last check of the state until the control process has answered
+        self._starting = threading.Lock()  # locked from the last check of the state until the answer to the start
         self._reserved = ""  # reason why only a calibration procedure may move the robot
 
     def open(self) -> None:
         """Start every process of the station; call this once."""
         self._runs.open()
-        for folder in self._runs.recovered:
-            self._flight_recorder.note("recovered", f"run {folder.name}, which had been interrupted")
-        for sentence in self._runs.not_recoverable:
-            self._flight_recorder.note("not recovered", sentence)
+        if (recorder := self._runs.recorder) is not None:
+            for folder in recorder.recovered:
+                self._flight_recorder.note("recovered", f"run {folder.name}, which had been interrupted")
+            for sentence in recorder.not_recoverable:
+                self._flight_recorder.note("not recovered", sentence)
         self._processes.open()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
@@ -128,12 +127,12 @@ class Supervisor:
 
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
-        found = self._processes.pids()
-        return found if self._runs.pid is None else {**found, "recorder": self._runs.pid}
+        recorder = self._runs.recorder
+        return self._processes.pids() | ({} if recorder is None else {"recorder": recorder.pid})
 
     def entered(self, state: State) -> int:
         """Return how often the station has entered a state."""
-        return self._state.entered(state)
+        return self._state.entered[state]
 
     # Commands
 
@@ -358,9 +357,9 @@ class Supervisor:
     def _on_report(self, message: ControlReport) -> None:
         match message:
             case DeviceReport():
-                self._state.set_devices(message.devices)
+                self._state.devices = message.devices
             case CommandRefused():
-                self._state.set_refusals(message.warnings)
+                self._state.refusals = message.warnings
                 for text in message.warnings:
                     self._flight_recorder.note("warning", text)
             case StateNotice():

@@ -145,7 +145,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
         "run": "" if status.run is None else status.run.id,
         "refused": refused,
         "note": note,
-        "recovered": [path.name for path in supervisor._runs.recovered],
+        "recovered": [path.name for path in supervisor._runs.recorder.recovered],
     }
 
 

@@ -28,7 +28,7 @@ def test_bench_is_simulated_by_what_its_devices_report_and_not_by_its_file(write
     try:
         assert not supervisor.simulated
         tool = {"tool": {"manufacturer": "simulated"}}
-        supervisor._state.set_devices((DeviceStatus("tracker", Condition.CONNECTED, 0, "", tool),))
+        supervisor._state.devices = (DeviceStatus("tracker", Condition.CONNECTED, 0, "", tool),)
         assert supervisor.simulated
     finally:
         supervisor.close()

@@ -69,7 +69,7 @@ def test_run_without_a_folder_is_not_recorded_and_reports_no_problem(runs: Runs,
     runs.accepted(run)
     assert not runs.recording
     assert runs.problem() == ""
-    assert runs.pid is None
+    assert runs.recorder is None
     for state in (State.RUNNING, State.READY):
         runs.state_changed(StateNotice(state, "", run.number))
         runs.on_state(StateNotice(state, "", run.number))

@@ -61,7 +61,7 @@ def test_repeated_report_of_a_state_counts_as_one_entry(watched: Watched) -> Non
     assert [watched.report(state) for state in (State.READY, State.READY, State.RUNNING, State.READY)] == [
         True, False, True, True,
     ]  # fmt: skip
-    assert watched.monitor.entered(State.READY) == 2
+    assert watched.monitor.entered[State.READY] == 2
 
 
 def test_state_is_fault_after_the_end_of_the_control_process_despite_the_ring(watched: Watched) -> None:
@@ -75,7 +75,7 @@ def test_state_is_fault_after_the_end_of_the_control_process_despite_the_ring(wa
     assert status.cause.split("; ") == [
         "the control process ended by signal 9", "3 stages say that they have stopped", "reset to restart it",
     ]  # fmt: skip
-    assert watched.monitor.entered(State.FAULT) == 1
+    assert watched.monitor.entered[State.FAULT] == 1
 
 
 def test_fault_reported_before_the_end_of_the_control_process_is_the_cause(watched: Watched) -> None:
@@ -98,8 +98,8 @@ def test_phase_and_run_in_the_status_belong_together(watched: Watched, paper: Ro
 
 def test_status_combines_device_reports_refusals_and_warnings(watched: Watched) -> None:
     device = DeviceStatus(name="tracker", condition=Condition.FAULT, severity=4, text="no frames for 1 s", details={})
-    watched.monitor.set_devices((device,))
-    watched.monitor.set_refusals(("no real-time scheduling",))
+    watched.monitor.devices = (device,)
+    watched.monitor.refusals = ("no real-time scheduling",)
     watched.ring.counters[STUCK] = 1
 
     status = watched.monitor.snapshot(None, False, "'calibrate tubes' has reserved the robot", ("the tubes snap",))
