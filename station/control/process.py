@@ -123,9 +123,8 @@ def _final_stop(bench: BenchFile, setup: ControlSetup) -> None:
     """Stop every axis, homing axes included, because the station process is gone and cannot stop them."""
     stop = emergency_stop(bench.stages, setup.robot)
     if stop is not None:
-        with contextlib.suppress(
-            BaseException
-        ):  # an installed driver may raise anything; there is no process to report to
+        # An installed driver may raise anything, and there is no process to report to.
+        with contextlib.suppress(BaseException):
             stop(setup.clock)
 
 
@@ -196,9 +195,7 @@ class _LiveLoop:
             ring.write(row)
         self._report(now)
         self._notice()
-        standstill = (
-            self._station.standstill()
-        )  # call this at every tick: the processor time is compared with that of an earlier query
+        standstill = self._station.standstill()  # at every tick: it compares the processor time with an earlier query
         if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))

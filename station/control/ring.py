@@ -207,9 +207,8 @@ def clear_left_behind() -> None:
     """Remove the segments of killed stations, on systems where segments are files (Linux); keep all other segments."""
     for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}*_*"):
         process = path.name.removeprefix(SEGMENT_PREFIX).partition("_")[0]
-        with contextlib.suppress(
-            OSError, ValueError
-        ):  # the file belongs to another user, is already gone, or has no pid in its name
+        # The file may belong to another user, be already gone, or have no pid in its name.
+        with contextlib.suppress(OSError, ValueError):
             if path.stat().st_uid == os.getuid() and not _runs(int(process)):
                 path.unlink()
 

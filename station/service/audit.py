@@ -48,10 +48,8 @@ class RotatingLog:
         """Return the last lines, at most `count`, the newest first."""
         lines: deque[str] = deque(maxlen=count)
         for path in (self._older(1), self._path):
-            with (
-                contextlib.suppress(OSError),
-                path.open(encoding="utf-8", errors="replace") as file,
-            ):  # the older file may not exist yet
+            # The older file may not exist yet.
+            with contextlib.suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
                 lines.extend(file)
         return list(reversed(lines))
 

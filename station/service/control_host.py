@@ -125,9 +125,8 @@ class ControlHost:
         deadline = self._clock.now() + REPLY_TIMEOUT_S
         until = math.inf if what in (Transition.STOP, Transition.HOLD) else deadline
         command = Command(next(self._numbers), what, until=until, **about)
-        if (
-            permit is not None and what is not Transition.RESET
-        ):  # a reset needs no generation: a later STOP follows it through the same pipe
+        # A reset needs no generation: a later STOP follows it through the same pipe.
+        if permit is not None and what is not Transition.RESET:
             command = command._replace(until=min(until, permit.until), generation=permit.generation)
         silent = NoReply(f"the control process did not answer '{what}' within {REPLY_TIMEOUT_S:g} s")
         with self._answered:

@@ -145,9 +145,8 @@ class CalibrationSession:
                 SessionStage.MOVING, 1.0, "the results are ready; returning to the start pose", self._job.folder.name
             )
             ending, why = SessionStage.DONE, ""
-            with contextlib.suppress(
-                AbortedError, RefusedError
-            ):  # the results are valid even if the robot does not return
+            # The results are valid even if the robot does not return.
+            with contextlib.suppress(AbortedError, RefusedError):
                 self._go_back()
         except (AbortedError, RefusedError) as error:
             ending, why = SessionStage.ABORTED, str(error)
@@ -162,9 +161,7 @@ class CalibrationSession:
         if ending is not SessionStage.DONE:
             shutil.rmtree(self._job.folder, ignore_errors=True)
         if weight := max(self._now.weight, self._attached):
-            self._supervisor.apply_load(
-                NoLoad()
-            )  # this removes the weight in the virtual lab; the operator removes a real one
+            self._supervisor.apply_load(NoLoad())  # in the virtual lab; the operator removes a real weight
             why = f"{why}; a weight of {weight:g} N may be attached to the tip: remove it"
         self._end_time = self._clock.now()
         self._now = self._now.now(stage=ending, message=why, instruction="", weight=0.0, left=0.0)
@@ -222,9 +219,7 @@ class CalibrationSession:
         self._supervisor.start_step(StartRequest(what, title, load=None, recorded=False), self._permit)
         while True:
             time.sleep(POLL_INTERVAL_S)
-            running = (
-                self._check_state() is State.RUNNING
-            )  # check the state before reading the rows, so that the last rows are included
+            running = self._check_state() is State.RUNNING  # before reading the rows, to include the last ones
             rows, since, _ = ring.read(since)
             kept.append(rows)
             if not running:
