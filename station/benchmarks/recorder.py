@@ -18,11 +18,10 @@ from station.control.ring import Ring
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
-from station.recording.case_recorder import CaseRecorder
 from station.recording.read import open_case
 from station.recording.recorder import LIVE_CASE, Recorder
 from station.recording.run_outcome import RunOutcome
-from station.recording.writer import CaseWriter
+from station.recording.writer import CaseRecorder, CaseWriter
 
 #: Duration of the run whose rows are recorded repeatedly [s].
 RECORDED_SPAN_S = 4.0

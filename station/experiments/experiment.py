@@ -36,7 +36,7 @@ from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import LabConfig, load_lab
 from station.lab.faults import LabFault, check_faults
-from station.recording.tracking_errors import counted_from
+from station.recording.run_outcome import counted_from
 
 #: Largest number of cases in one experiment. It limits the waiting time, because each case is checked on the model
 #: before anything runs.

@@ -14,17 +14,11 @@ from station.control.telemetry import Channels
 from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.results import summarise
 from station.experiments.runner import INTERRUPTED, run_case
-from station.recording.case_recorder import CaseRecorder
-from station.recording.read import read_case
+from station.recording.read import MAX_SUMMARY_ROWS, read_case
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
-from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.tracking_errors import evaluation_note
-from station.recording.writer import CaseWriter
-
-#: Largest number of telemetry rows from which a summary is computed: every tick of half an hour. Of a longer run only
-#: every n-th row is used.
-MAX_SUMMARY_ROWS = 1_000_000
+from station.recording.run_outcome import RecordingError, RunOutcome, evaluation_note
+from station.recording.writer import CaseRecorder, CaseWriter
 
 
 class CaseAssignment(NamedTuple):

@@ -11,8 +11,16 @@ from station.config.controllers import PERIOD_S
 from station.config.motions import StepMotion
 from station.experiments.case_summary import fit_step, fold, load_windows, model_note, window_name
 from station.experiments.runner import Recording
-from station.recording.saturation import limited_parts, saturation_warning
-from station.recording.tracking_errors import desired, errors, frame_errors, largest_force, rms, rounded
+from station.recording.run_outcome import (
+    desired,
+    errors,
+    frame_errors,
+    largest_force,
+    limited_parts,
+    rms,
+    rounded,
+    saturation_warning,
+)
 
 #: Number of ticks over which the model's tip is averaged before it is compared with the tracker. Without averaging,
 #: the noise of one force sample (0.02 N in each sensor) moves this tip by a millimetre, which is no model error.

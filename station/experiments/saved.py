@@ -23,7 +23,7 @@ from station.config.strict import (
     use_experiments,
 )
 from station.experiments.experiment import load_experiment
-from station.recording.tracking_errors import settling_time
+from station.recording.run_outcome import settling_time
 
 #: Name of the default folder of saved experiments, inside the folder of the runs.
 EXPERIMENTS_FOLDER = "experiments"

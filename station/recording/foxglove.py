@@ -1,7 +1,7 @@
-"""Messages that Foxglove can draw: poses, frames, lines and arrows, as JSON of its well-known schemas."""
+"""Messages that Foxglove shows, as JSON of its well-known schemas: poses, frames, lines, arrows and log events."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -10,6 +10,11 @@ from station.recording.data_section import Topic
 
 #: Name of the coordinate frame in which everything is drawn.
 WORLD = "world"
+#: Topic of the events of a run: state changes, faults, commands. The log panel of Foxglove lists them.
+EVENTS_TOPIC = "/events"
+EVENTS_SCHEMA = "foxglove.Log"
+#: Severity levels of the message type foxglove.Log.
+INFO, WARNING, ERROR, FATAL = 2, 3, 4, 5
 
 
 class Colour(NamedTuple):
@@ -156,3 +161,33 @@ def _colour(colour: Colour) -> str:
 def _literal(name: str) -> str:
     """Return a name as JSON that can be part of a template: percent signs are doubled."""
     return json.dumps(name).replace("%", "%%")
+
+
+class RecordedEvent(NamedTuple):
+    """Event of a run: a change of state, a fault, a command, ..."""
+
+    time: float  #: time of the event, on the same clock as the channel `time` [s]
+    kind: str  #: state, command, fault, ...
+    text: str  #: human-readable text
+    level: int = INFO
+    data: Mapping[str, Any] = {}  #: machine-readable JSON values
+
+
+def event_json(event: RecordedEvent, stamp: int) -> bytes:
+    """Return an event as the JSON of a foxglove.Log message at `stamp` [ns]."""
+    message = {
+        "timestamp": {"sec": stamp // 10**9, "nsec": stamp % 10**9},
+        "level": event.level,
+        "message": event.text,
+        "name": event.kind,
+        "file": "",
+        "line": 0,
+        "time": event.time,
+        "data": dict(event.data),
+    }
+    return json.dumps(message, allow_nan=False).encode()
+
+
+def event_of(message: Mapping[str, Any]) -> RecordedEvent:
+    """Return the event from the JSON object of a message that `event_json` has created."""
+    return RecordedEvent(message["time"], message["name"], message["message"], message["level"], message["data"])

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from station.config.strict import Strict
-from station.recording.outcome import CaseOutcome, case_outcomes
 from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, write_json
-from station.recording.run_outcome import RecordingError
+from station.recording.run_outcome import CaseOutcome, RecordingError, case_outcomes
 from station.recording.writer import PARTIAL_SUFFIX
 
 #: Name of the file with the user's notes about a run.

@@ -19,12 +19,15 @@ from zstandard import ZstdError
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
-from station.recording.events import TOPIC as EVENTS
-from station.recording.events import RecordedEvent, event_of
+from station.recording.data_section import MESSAGE_HEADER_BYTES, TELEMETRY_TOPIC
+from station.recording.foxglove import EVENTS_TOPIC, RecordedEvent, event_of
 from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, channels_of, format_of, is_later, values_of
-from station.recording.row_message import MESSAGE_HEADER_BYTES, TOPIC
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import RECORD_HEADER_BYTES, RESULT_RECORD
+
+#: Largest number of rows from which the errors of a run are computed: every tick of half an hour. Of a longer run only
+#: every n-th row is used.
+MAX_SUMMARY_ROWS = 1_000_000
 
 
 class CaseRecording(NamedTuple):
@@ -73,7 +76,7 @@ class CaseReader:
             self.result: Mapping[str, Any] = values_of(written[RESULT_RECORD])
             self.label, self.cause = RunOutcome(self.result["label"]), str(self.result["cause"])
             #: Number of telemetry rows in the recording.
-            self.ticks = summary.statistics.channel_message_counts.get(self._topics[TOPIC], 0)
+            self.ticks = summary.statistics.channel_message_counts.get(self._topics[TELEMETRY_TOPIC], 0)
 
     def blocks(self) -> Iterator[Array]:
         """Yield all rows in the recorded order, the rows of one chunk at a time: (n, channels).
@@ -81,7 +84,7 @@ class CaseReader:
         Raises:
             RecordingError: a chunk is damaged.
         """
-        topic = self._topics[TOPIC]
+        topic = self._topics[TELEMETRY_TOPIC]
         for index in sorted(self._summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
             if topic not in index.message_index_offsets:
                 continue  # this chunk has only drawings or events
@@ -98,7 +101,7 @@ class CaseReader:
             RecordingError: a chunk is damaged.
         """
         with _undamaged(self._path):
-            found = self._reader.iter_messages(topics=EVENTS)
+            found = self._reader.iter_messages(topics=EVENTS_TOPIC)
             return tuple(event_of(json.loads(message.data)) for _, _, message in found)
 
 

@@ -17,32 +17,57 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import set_process_name
 from station.control.ring import RECORDER_HEARTBEAT, Ring
+from station.control.task import Phase
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
-from station.recording.events import WARNING, RecordedEvent
-from station.recording.read import read_case
+from station.recording.foxglove import WARNING, RecordedEvent
+from station.recording.read import MAX_SUMMARY_ROWS, read_case
 from station.recording.recover import recover
-from station.recording.run_folder import RunFolder
-from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.run_rows import RunRows
-from station.recording.tracking_errors import motion_errors
-from station.recording.writer import CaseWriter
+from station.recording.run_folder import LIVE_CASE, RunFolder
+from station.recording.run_outcome import RecordingError, RunOutcome, motion_errors
+from station.recording.writer import FLUSH_INTERVAL_S, CaseWriter
 
-#: Time between two chunks of a recording [s]. A chunk that is given to the operating system survives a kill.
-FLUSH_INTERVAL_S = 0.2
+#: Phases that belong to a run; jogging a joint by hand does not.
+RUN_PHASES = (Phase.APPROACHING, Phase.SETTLING, Phase.MOVING)
 #: Longest time to wait for the first reply of the recorder's process, which has to start, and for any later reply [s].
 START_TIMEOUT_S, REPLY_TIMEOUT_S = 60.0, 10.0
-#: Largest number of rows from which the errors of a run are computed; of a longer run only every n-th row is used.
-MAX_SUMMARY_ROWS = 1_000_000
-#: File name of the only case of a live run.
-LIVE_CASE = "run"
 #: Kind of a motion that sweeps one joint, so it has no desired path of the tip and no tip errors.
 JOINT_SWEEP = "joint_sweep"
+
+
+class RunRows:
+    """Selects the rows of one run up to the end of its motion, block by block.
+
+    After the motion the load is removed, in a virtual lab at once. The tip then moves, and its motion is not part of
+    the run.
+    """
+
+    def __init__(self, channels: Channels) -> None:
+        self._channels = channels
+        self._started = False
+        self.over = False  #: whether the run has ended; later rows do not belong to it
+        self.motion_start: float | None = None  #: time of the first row in phase MOVING [s]
+
+    def take(self, rows: Array) -> Array:
+        """Return those rows of the next block (n, channels) that belong to the run or precede it: (m, channels)."""
+        if self.over:
+            return rows[:0]
+        phases = self._channels.of(rows, "phase")[:, 0]
+        for number, phase in enumerate(phases.tolist()):
+            if phase in RUN_PHASES:
+                self._started = True
+                if phase == Phase.MOVING and self.motion_start is None:
+                    self.motion_start = float(rows[number, 0])
+            elif self._started:
+                self.over = True
+                return rows[:number]
+        return rows
 
 
 class StartRecording(NamedTuple):

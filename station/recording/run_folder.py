@@ -5,6 +5,7 @@ import fcntl
 import itertools
 import json
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +19,13 @@ from station.recording.writer import PARTIAL_SUFFIX
 SUMMARY_FILE = "summary.json"
 EXPERIMENT_FILE = "experiment.toml"
 RECORDING_SUFFIX = ".mcap"
+#: File name of the only recording of a live run; the metadata have the name of the experiment's case.
+LIVE_CASE = "run"
+#: Largest growth of a recording [bytes/s]: 500 rows of about 160 numbers that cannot be compressed, and 10 drawings.
+#: Random numbers with two tubes need 711 kB/s; a real run needs about half of this.
+RECORDING_BYTES_PER_S = 750_000.0
+#: Disk space that stays free for other programs [bytes].
+FREE_SPACE_BYTES = 100e6
 
 
 class RunFolder:
@@ -113,8 +121,37 @@ def lock_folder(folder: Path) -> int | None:
     return descriptor
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Replace a JSON file atomically: a reader sees the old content or the new one."""
-    whole = path.with_name(path.name + ".new")
-    whole.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-    whole.replace(path)
+def write_json(path: Path, value: Any) -> None:
+    """Replace a JSON file atomically.
+
+    Raises:
+        OSError: the file cannot be written, for example because the disk is full.
+    """
+    write_atomically(json.dumps(value, indent=1) + "\n", path)
+
+
+def write_atomically(text: str, path: Path) -> Path:
+    """Replace a file by a text atomically: readers see the old file or the complete new one.
+
+    Raises:
+        OSError: the file cannot be written, for example because the disk is full.
+    """
+    whole = path.with_name(path.name + ".partial")
+    whole.write_text(text, encoding="utf-8")
+    return whole.replace(path)
+
+
+def free_space_problem(folder: Path, duration: float) -> str:
+    """Return why a recording of `duration` [s] does not fit into `folder`, with what to do; empty if it fits."""
+    existing = folder.absolute()
+    while not existing.exists():
+        existing = existing.parent
+    if not os.access(existing, os.W_OK):
+        return f"{folder}: recordings cannot be written; choose another folder or change its permissions"
+    free, needed = shutil.disk_usage(existing).free, RECORDING_BYTES_PER_S * duration + FREE_SPACE_BYTES
+    if free >= needed:
+        return ""
+    return (
+        f"{folder}: {free / 1e6:.0f} MB are free, a recording of {duration:g} s needs {needed / 1e6:.0f} MB;"
+        " delete old runs or shorten this one"
+    )

@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 
 from core.robot.robot import Array, Robot
 from station.control.telemetry import Channel
-from station.recording.data_section import DataSection, Topic, WrittenMessage
+from station.recording.data_section import (
+    NO_ROWS,
+    TELEMETRY_SCHEMA,
+    TELEMETRY_TOPIC,
+    DataSection,
+    Rows,
+    Topic,
+    WrittenMessage,
+    definition,
+    message_records,
+)
 from station.recording.drawing import Drawing
-from station.recording.events import SCHEMA as EVENTS_SCHEMA
-from station.recording.events import TOPIC as EVENTS
-from station.recording.events import RecordedEvent, event_json
-from station.recording.foxglove import json_topic
+from station.recording.foxglove import EVENTS_SCHEMA, EVENTS_TOPIC, RecordedEvent, event_json, json_topic
 from station.recording.metadata import CHANNELS_RECORD, FORMAT, RUN_RECORD, channel_texts, texts, versions
-from station.recording.row_message import NO_ROWS, SCHEMA, TOPIC, Rows, definition, message_records
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 
@@ -32,6 +38,10 @@ DRAWINGS_PER_S = 10.0
 #: lose the latest drawings, but they can be computed from the rows.
 DRAWINGS_PER_BATCH = 10
 ROWS_CHANNEL, EVENT_CHANNEL, FIRST_DRAWING_CHANNEL = 1, 2, 3  #: ids of the MCAP topics
+#: A block of rows is written when it has this number of rows or is this old [s]. A kill loses at most one block,
+#: because a chunk that is given to the operating system survives.
+BLOCK_ROWS = 500
+FLUSH_INTERVAL_S = 0.2
 
 
 class CaseWriter:
@@ -70,8 +80,8 @@ class CaseWriter:
         self._rows = 0
         self._section: DataSection | None = None
         topics = (
-            Topic(TOPIC, "ros1", SCHEMA, "ros1msg", definition(channels)),
-            json_topic(EVENTS, EVENTS_SCHEMA),
+            Topic(TELEMETRY_TOPIC, "ros1", TELEMETRY_SCHEMA, "ros1msg", definition(channels)),
+            json_topic(EVENTS_TOPIC, EVENTS_SCHEMA),
             *self._drawing.topics,
         )
         run = {"format": FORMAT, "started": self.started, "versions": versions(), **metadata}
@@ -172,3 +182,43 @@ class CaseWriter:
         if self._epoch is None:
             self._epoch = time.time_ns() - round(1e9 * moment)
         return self._epoch
+
+
+class CaseRecorder:
+    """Records one case in the process that runs it; the memory does not grow with the length of the run."""
+
+    def __init__(self, writer: CaseWriter, width: int) -> None:
+        self._writer = writer
+        self._block = np.empty((BLOCK_ROWS, width))
+        self._filled = 0
+        self._due = time.monotonic() + FLUSH_INTERVAL_S
+
+    def write(self, row: Array) -> None:
+        """Add a telemetry row (channels,) to the recording.
+
+        Raises:
+            RecordingError: the disk is full. The rows before are kept, and the recording is labelled incomplete.
+        """
+        self._block[self._filled] = row
+        self._filled += 1
+        if self._filled == BLOCK_ROWS or time.monotonic() >= self._due:
+            self._flush()
+
+    def event(self, event: RecordedEvent) -> None:
+        """Record an event of the run."""
+        self._writer.event(event)
+
+    def close(self, label: RunOutcome, cause: str = "") -> None:
+        """Write the remaining rows and finish the recording, unless a full disk has already ended it.
+
+        Raises:
+            RecordingError: the disk is full.
+        """
+        if self._filled and self._writer.label is None:
+            self._flush()
+        self._writer.close(label, cause)
+
+    def _flush(self) -> None:
+        filled, self._filled = self._filled, 0
+        self._writer.write(self._block[:filled])
+        self._due = time.monotonic() + FLUSH_INTERVAL_S

@@ -7,8 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from station.recording.outcome import case_outcomes
-from station.recording.tracking_errors import evaluation_note
+from station.recording.run_outcome import case_outcomes, evaluation_note
 from station.report import document
 from station.report.comparison import all_errors, paper_comparison
 from station.report.run import RecordedRun

@@ -15,7 +15,7 @@ from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.experiments.experiment import variants
 from station.recording.read import open_case
-from station.recording.tracking_errors import desired
+from station.recording.run_outcome import desired
 
 #: Channel groups of a recording that reports and players need; other groups are not kept in memory.
 KEPT_GROUPS = frozenset((

@@ -22,11 +22,11 @@ from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.states import State
 from station.control.task import MotionTask
 from station.lab.faults import LabFault
-from station.recording.events import ERROR, INFO, RecordedEvent
+from station.recording.foxglove import ERROR, INFO, RecordedEvent
 from station.recording.recorder import START_TIMEOUT_S, Recorder
 from station.recording.recover import recover, unrecoverable
+from station.recording.run_folder import free_space_problem
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.space import free_space_problem
 from station.service.station_file import Rig
 
 _NO_LOAD = NoLoad()

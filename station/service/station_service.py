@@ -19,7 +19,7 @@ from station.config.strict import Strict, preset_names
 from station.control.states import Transition
 from station.control.task import MotionTask, Space, StreamRequest
 from station.experiments.experiment import load_warnings, offered_experiment
-from station.recording.tracking_errors import counted_from, settling_time
+from station.recording.run_outcome import counted_from, settling_time
 from station.service.feasibility import (
     WORKING_POSE_HINT,
     check_path,

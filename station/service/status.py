@@ -14,7 +14,7 @@ from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, 
 from station.control.states import LATCHED, State, StopReasons
 from station.control.task import Phase
 from station.control.telemetry import Channels, stale_groups
-from station.recording.saturation import limited_parts, saturation_warning
+from station.recording.run_outcome import limited_parts, saturation_warning
 from station.service.runs import RunRequest
 
 #: Age above which telemetry is shown as stale [s].

@@ -28,13 +28,11 @@ from websockets.typing import Subprotocol
 from core.robot.robot import Robot
 from station.control.states import State
 from station.control.telemetry import Channels
-from station.recording.data_section import Topic
+from station.recording.data_section import TELEMETRY_SCHEMA as SCHEMA
+from station.recording.data_section import TELEMETRY_TOPIC as ROWS_TOPIC
+from station.recording.data_section import Topic, definition
 from station.recording.drawing import Drawing
-from station.recording.events import INFO, TOPIC, WARNING, RecordedEvent, event_json
-from station.recording.events import SCHEMA as EVENTS_SCHEMA
-from station.recording.foxglove import json_topic
-from station.recording.row_message import SCHEMA, definition
-from station.recording.row_message import TOPIC as ROWS_TOPIC
+from station.recording.foxglove import EVENTS_SCHEMA, EVENTS_TOPIC, INFO, WARNING, RecordedEvent, event_json, json_topic
 from station.recording.writer import EVENT_CHANNEL, FIRST_DRAWING_CHANNEL, ROWS_CHANNEL
 from web.access.gate import Access
 from web.access.identity import Tokens
@@ -142,7 +140,7 @@ class FoxgloveServer:
         self._drawing = Drawing(robot, channels.all, FIRST_DRAWING_CHANNEL)
         self._topics = (
             Topic(ROWS_TOPIC, "ros1", SCHEMA, "ros1msg", definition(channels.all)),
-            json_topic(TOPIC, EVENTS_SCHEMA),
+            json_topic(EVENTS_TOPIC, EVENTS_SCHEMA),
             *self._drawing.topics,
         )
         self._tokens = tokens

@@ -19,7 +19,7 @@ from pyigtl.messages import CRC64, MessageBase, PolyDataMessage, TransformMessag
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 from station.control.states import State
-from station.recording.robot_pose import Pose
+from station.recording.drawing import Pose
 from web.gateway.options import ListenAddress
 from web.gateway.snapshot import SceneState, Snapshot, StationInfo
 

@@ -16,7 +16,7 @@ import zenoh
 from zenoh.ext import Int64, z_serialize
 
 from core.robot.robot import Robot
-from station.recording.robot_pose import Pose
+from station.recording.drawing import Pose
 from web.gateway.options import GatewayError, ListenAddress
 from web.gateway.snapshot import SceneState, Snapshot
 

@@ -12,7 +12,7 @@ from station.control.clock import StationClock
 from station.control.ring import HEARTBEAT, Ring
 from station.control.states import State
 from station.control.telemetry import Channels, stale_groups
-from station.recording.robot_pose import Pose, PoseReader, RobotPose
+from station.recording.drawing import Pose, PoseReader, RobotPose
 
 #: Largest age of the newest telemetry row that is subtracted from the wall-clock time when rows are stamped [s].
 STALE_AFTER_S = 0.5

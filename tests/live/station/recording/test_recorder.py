@@ -16,7 +16,7 @@ import pytest
 from station.config.robots import RobotFile, load_robot
 from station.control.ring import RING_ROWS, Ring
 from station.control.task import Phase
-from station.recording.events import RecordedEvent
+from station.recording.foxglove import RecordedEvent
 from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover

@@ -18,7 +18,7 @@ RECORD = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from station.recording.case_recorder import CaseRecorder
+from station.recording.writer import CaseRecorder
 from station.recording.run_outcome import RunOutcome
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from core.model.statics import Statics
 from core.robot.robot import Base, Robot
-from station.recording.drawing import Drawing
-from station.recording.robot_pose import quaternion_of
+from station.recording.drawing import Drawing, quaternion_of
 
 
 def drawn(robot: Robot, channels, row, stamp: int = 3_000_000_007) -> dict[str, dict]:

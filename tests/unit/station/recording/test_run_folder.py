@@ -1,11 +1,19 @@
 """The folder of a run is complete or has a provisional name."""
 
 import json
+import shutil
 
 import pytest
 
 from station.recording.recover import recover
-from station.recording.run_folder import RunFolder, lock_folder, write_json
+from station.recording.run_folder import (
+    FREE_SPACE_BYTES,
+    RECORDING_BYTES_PER_S,
+    RunFolder,
+    free_space_problem,
+    lock_folder,
+    write_json,
+)
 from station.recording.run_outcome import RecordingError
 
 
@@ -63,3 +71,20 @@ def test_write_json_replaces_a_file_atomically(tmp_path):
 
     assert json.loads(path.read_text(encoding="utf-8")) == {"a": 2}
     assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_the_disk_space_check_accepts_a_short_recording_and_refuses_one_that_does_not_fit(tmp_path):
+    free = shutil.disk_usage(tmp_path).free
+    longest = (free - FREE_SPACE_BYTES) / RECORDING_BYTES_PER_S
+
+    assert free_space_problem(tmp_path / "runs" / "deep", 0.5 * longest) == ""
+    problem = free_space_problem(tmp_path / "runs" / "deep", 2.0 * longest)
+    assert "runs/deep" in problem
+    assert "MB are free" in problem
+    assert "delete old runs or shorten this one" in problem
+
+
+def test_the_data_rate_assumed_by_the_disk_space_check_exceeds_that_of_a_recording(recorded, make_rows):
+    # Random numbers are incompressible, so they need more space than any run.
+    size = recorded(make_rows(1000)).stat().st_size
+    assert size / 2.0 < RECORDING_BYTES_PER_S

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from station.control.task import Phase
-from station.recording.run_rows import RunRows
+from station.recording.recorder import RunRows
 
 #: Phases of a run row by row: ready, motion to the start pose, rest, motion. AFTER: ready again, then an operator jogs
 #: a joint.

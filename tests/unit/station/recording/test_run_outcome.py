@@ -1,13 +1,25 @@
-"""Tracking errors of motions with known errors."""
+"""Outcome of a run: errors count as in the paper; outcomes are read from any summary; joints at a limit are named."""
 
 import numpy as np
 import pytest
 
-from station.recording.tracking_errors import counted_from, errors, evaluation_note, motion_errors, settling_time
+from station.recording.run_outcome import (
+    case_outcomes,
+    counted_from,
+    errors,
+    evaluation_note,
+    limited_parts,
+    motion_errors,
+    saturation_warning,
+    settling_time,
+)
 
 #: Times of a motion that starts at 10 s [s]. The setpoint moves along x at 1 mm/s; the tip is 2 mm behind it in x and
 #: 1 mm off in y.
 TIME = np.arange(9.0, 20.0, 0.002)
+MEASURED = {"max_abs_error_mm": [1.0, 2.0, 2.0], "max_distance_mm": 3.0, "rms_error_mm": [0.3, 0.0, 0.4]}
+TRUE = {"true_" + key: value for key, value in MEASURED.items()}
+NAMES = ("outer_rotation", "inner_rotation")
 
 
 def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
@@ -93,3 +105,48 @@ def test_a_motion_that_has_not_settled_has_no_tracking_errors():
 def test_a_free_motion_settles_in_twenty_seconds_or_half_of_its_time():
     assert settling_time(200.0) == 20.0
     assert settling_time(10.0) == 5.0
+
+
+def test_the_outcome_of_a_case_uses_true_errors_if_known_and_tracker_errors_otherwise() -> None:
+    found = case_outcomes(
+        {"cases": {"lab": {**TRUE, "max_abs_error_mm": [9, 9, 9], "force_max_N": 0.2}, "bench": MEASURED}}
+    )
+
+    assert [(name, case.against) for name, case in found.items()] == [("lab", "true"), ("bench", "measured")]
+    for case in found.values():
+        assert (case.largest, case.largest_distance) == ((1.0, 2.0, 2.0), 3.0)
+        assert (case.rms, case.rms_distance) == ((0.3, 0.0, 0.4), 0.5)
+    assert [case.force for case in found.values()] == [0.2, None]
+
+
+def test_a_case_without_errors_has_no_outcome() -> None:
+    assert case_outcomes({"cases": {"sweep": {"completed": True}, "circle": TRUE}}).keys() == {"circle"}
+
+
+@pytest.mark.parametrize(
+    "invalid",
+    [
+        {}, {"cases": None}, {"cases": [1]}, {"cases": {"a": 3}},
+        {"cases": {"a": {**TRUE, "true_rms_error_mm": "none"}}},
+        {"cases": {"a": {**TRUE, "true_max_distance_mm": None}}},
+        {"cases": {"a": {**TRUE, "true_max_abs_error_mm": [1.0, 2.0]}}},
+        {"cases": {"a": {**TRUE, "force_max_N": []}}},
+    ],
+)  # fmt: skip
+def test_an_invalid_summary_has_no_outcome(invalid: dict[str, object]) -> None:
+    assert case_outcomes(invalid) == {}
+
+
+def test_fractions_of_time_at_a_limit_count_only_ticks_that_follow_a_target():
+    at_bound = np.array([[0.0, 1.0], [0.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
+
+    assert limited_parts(NAMES, at_bound, np.array([1.0, 1.0, 1.0, 0.0])) == {
+        "outer_rotation": 0.0, "inner_rotation": 2.0 / 3.0,
+    }  # fmt: skip
+    assert limited_parts(NAMES, at_bound, np.zeros(4)) == dict.fromkeys(NAMES, 0.0)
+
+
+def test_the_saturation_warning_names_joints_that_are_often_at_a_limit():
+    assert "inner_rotation 31 % of the time" in saturation_warning({"outer_rotation": 0.01, "inner_rotation": 0.31})
+    assert "outer_rotation" not in saturation_warning({"outer_rotation": 0.01, "inner_rotation": 0.31})
+    assert saturation_warning(dict.fromkeys(NAMES, 0.01)) == ""

@@ -5,7 +5,8 @@ from mcap.records import Schema
 from mcap_ros1.decoder import DecoderFactory
 
 from station.control.telemetry import Channel
-from station.recording.row_message import MESSAGE_HEADER_BYTES, SCHEMA, definition, message_records, row_of
+from station.recording.data_section import MESSAGE_HEADER_BYTES, definition, message_records, row_of
+from station.recording.data_section import TELEMETRY_SCHEMA as SCHEMA
 
 
 def decoded(channels: list[Channel], row: np.ndarray) -> object:
