@@ -3,18 +3,15 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from core.calibration.fit import Fit
 from core.robot.robot import Array
-from station.calibration.folder import REPORT_FILE
 from station.calibration.plan import PlanSubject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result, findings, rows
-from station.report import document, style, templates
-from station.report.figure import ReportFigure
+from station.report import document, style
+from station.report.document import ReportFigure
 
 TITLES = {
     "axes": "Axes: signs and zeros",
@@ -41,19 +38,15 @@ def write_report(
     Raises:
         OSError: the file cannot be written.
     """
-    with matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
-        page = document.document(f"{TITLES[what]}: calibration", _parts(what, result, subject, facts, simulated))
-    path = folder / REPORT_FILE
-    path.write_text(page, encoding="utf-8")
-    return path
+    parts = _parts(what, result, subject, facts, simulated)
+    return document.write_page(folder, f"{TITLES[what]}: calibration", parts)
 
 
 def _parts(
     what: str, result: Result, subject: PlanSubject, facts: Sequence[tuple[str, str]], simulated: bool
 ) -> Iterator[str]:
-    yield f"<h1>{TITLES[what]}</h1>"
-    if simulated:
-        yield document.paragraph("Everything here comes from simulated devices of the virtual lab.", "note")
+    note = "Everything here comes from simulated devices of the virtual lab." if simulated else ""
+    yield from document.page_head(TITLES[what], note=note)
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("Findings")
     for sentence in findings(result):
@@ -64,8 +57,7 @@ def _parts(
     ]
     yield document.table(("", "before", "found", "95 %"), listed)
     for figure in _figures(result):
-        style.finish(figure.figure, "simulated bench" if simulated else f"bench of '{subject.robot.name}'")
-        yield document.picture(templates.data_uri(figure), figure.alt, figure.title, figure.caption)
+        yield document.picture(figure, "simulated bench" if simulated else f"bench of '{subject.robot.name}'")
 
 
 def _figures(result: Result) -> Iterator[ReportFigure]:
@@ -86,7 +78,7 @@ def _held_out(result: TubesResult) -> ReportFigure:
         ("described tubes, best frames", loaded.before),
         ("calibrated", loaded.after),
     )
-    figure = Figure(figsize=(style.WIDTH_INCH, 2.6))
+    figure = style.blank(2.6)
     axes = figure.subplots()
     for number, (label, errors) in enumerate(groups):
         line = style.series(number, label)
@@ -99,17 +91,12 @@ def _held_out(result: TubesResult) -> ReportFigure:
     axes.set_xlim(-0.5, len(groups) - 0.3)
     axes.set_ylabel("distance model - coil [mm]")
     means = ", ".join(f"{label} {1e3 * errors.mean():.3g} mm" for label, errors in groups)
-    return ReportFigure(
-        "held_out",
-        "Loaded measurements held out of the fits",
-        "Each point is a measurement; the line is the mean.",
-        means,
-        figure,
-    )
+    caption = "Each point is a measurement; the line is the mean."
+    return ReportFigure("held_out", "Loaded measurements held out of the fits", caption, means, figure)
 
 
 def _errors(errors: Array, when: str) -> ReportFigure:
-    figure = Figure(figsize=(style.WIDTH_INCH, 2.2))
+    figure = style.blank(2.2)
     axes = figure.subplots()
     line = style.series(2, "")
     axes.bar(np.arange(1, len(errors) + 1), 1e3 * errors, color=line.colour, width=0.7)
@@ -122,7 +109,7 @@ def _errors(errors: Array, when: str) -> ReportFigure:
 
 def intervals(fit: Fit, count: int) -> ReportFigure:
     """Return the figure of the first `count` parameters, which are those of the tubes, in units of their priors."""
-    figure = Figure(figsize=(style.WIDTH_INCH, 0.8 + 0.27 * count))
+    figure = style.blank(0.8 + 0.27 * count)
     axes = figure.subplots()
     names = [parameter.name.replace("_", " ") for parameter in fit.parameters[:count]]
     sizes = np.array([parameter.prior for parameter in fit.parameters[:count]])

@@ -1,7 +1,9 @@
-"""Writes the result files of a comparison between model and measured poses, and its text for the terminal."""
+"""Writes the result files of a comparison between model and measured poses, and its text for the terminal.
 
-import csv
-import json
+report.json has the numbers for scripts: errors in mm, all others in SI units.
+"""
+
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,14 +12,17 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from core.calibration.external_poses import ErrorStatistics, PoseFit
+from core.calibration.rigid_transform import vector_from_rotation
 from station.calibration import files
-from station.calibration.findings import findings
+from station.calibration.findings import findings, undetermined_parameters
 from station.calibration.folder import REPORT_NUMBERS_FILE
 from station.calibration.poses import Poses, recorded
-from station.calibration.validation import Validation, calibration, found_rows
-from station.calibration.validation_numbers import numbers
+from station.calibration.validation import ErrorBin, Validation, by_direction, by_joint, calibration, found_rows
+from station.calibration.validation_report import ERROR_HEAD, FOUND_HEAD, error_rows, page_parts
 from station.config.strict import ConfigError
 from station.devices.aurora.tracker import TrackerMounting
+from station.report import document
 
 ERRORS_FILE = "errors.csv"
 #: Largest number of left-out rows of a poses file that the terminal lists; the report lists more.
@@ -65,10 +70,7 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
 def _written(
     folder: Path, title: str, validation: Validation, when: str, more: dict[str, Any], names: Sequence[str]
 ) -> dict[str, Any]:
-    # This import loads the library for figures, which takes a second.
-    from station.calibration.validation_report import write_report
-
-    values = {**numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS_FILE]}
+    values = {**_numbers(validation), **more, "folder": str(folder), "files": [*names, ERRORS_FILE]}
     facts = [
         ("made", when),
         ("robot", validation.robot.name),
@@ -76,13 +78,11 @@ def _written(
         *([] if validation.test is None else [("tested with", _location(validation.test))]),
         ("source of the description", validation.file.source or "not stated"),
     ]
-    joints = validation.robot.joint_names
+    errors = recorded(validation.poses, validation.errors[-1], validation.robot.joint_names)
+    parts = page_parts(title, validation, facts)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ERRORS_FILE).open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows(recorded(validation.poses, validation.errors[-1], joints))
-        (folder / REPORT_NUMBERS_FILE).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-        write_report(folder, title, validation, facts)
+        document.write_results(folder, title, parts, {REPORT_NUMBERS_FILE: values}, {ERRORS_FILE: errors})
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
     return values
@@ -96,24 +96,10 @@ def _location(poses: Poses) -> str:
 
 def tables(validation: Validation) -> list[Table]:
     """Return the tables for the terminal: errors of each fit, and fitted parameters if there are any."""
-    from station.calibration.validation_report import error_rows
-
-    title = f"{validation.robot.name}: {_location(validation.poses)}"
-    errors = Table(title=Text(title), title_style="", title_justify="left")
-    for column in ("distance [mm]", "at"):
-        errors.add_column(column)
-    for column in ("poses", "mean", "median", "95 %", "largest"):
-        errors.add_column(column, justify="right")
-    for row in error_rows(validation):
-        errors.add_row(*row)
-    found = Table()
-    found.add_column("")
-    for column in ("before", "found", "+- (95 %)"):
-        found.add_column(column, justify="right")
+    title = Text(f"{validation.robot.name}: {_location(validation.poses)}", justify="left")
+    errors = document.terminal_table(("distance [mm]", *ERROR_HEAD), error_rows(validation), 2, title)
     rows = found_rows(validation)
-    for row in rows:
-        found.add_row(*row)
-    return [errors, found] if rows else [errors]
+    return [errors, document.terminal_table(FOUND_HEAD, rows)] if rows else [errors]
 
 
 def sentences(validation: Validation) -> list[str]:
@@ -125,3 +111,86 @@ def sentences(validation: Validation) -> list[str]:
         if len(left) > MAX_PRINTED_ROWS:
             lines.append(f"and {len(left) - MAX_PRINTED_ROWS} more, in the report")
     return lines
+
+
+def _numbers(validation: Validation) -> dict[str, Any]:
+    """Return the numbers of a validation: errors in mm, all others in SI units."""
+    best = validation.best
+    return {
+        "robot": validation.robot.name,
+        "poses": str(validation.poses.path),
+        "test": None if validation.test is None else str(validation.test.path),
+        "used": len(validation.poses.measurements),
+        "left_out": [each._asdict() for each in validation.poses.left_out],
+        "test_left_out": [] if validation.test is None else [each._asdict() for each in validation.test.left_out],
+        "fit": best.extent,
+        "failed": validation.failed or None,
+        "errors_mm": {
+            found.extent: _mm(ErrorStatistics.of(errors))
+            for found, errors in zip(validation.matches, validation.errors, strict=True)
+        },
+        "unseen_mm": {
+            held_out.extent: {
+                "how": "every second pose fitted, the others tested" if validation.test is None else "the other file",
+                "fitted": _mm(held_out.fitted),
+                "tested": _mm(held_out.tested),
+            }
+            for held_out in validation.held_out
+        },
+        "noise_mm": 1e3 * best.noise,
+        "neighbours_alike": best.neighbour_correlation,
+        "frames": {
+            "rotation_vector": vector_from_rotation(best.frames.registration.rotation).tolist(),
+            "position": best.frames.registration.position.tolist(),
+            "offset": best.frames.coil.tolist(),
+            "position_standard_deviation": best.position_errors.tolist(),
+        },
+        "residual": _residual(validation),
+        "parameters": _parameters(best),
+        "cannot_tell": undetermined_parameters(best),
+        "not_asked_for": list(best.requested.omitted),
+        "by_joint": [_bin_numbers(each) for each in by_joint(validation)],
+        "by_direction": [_bin_numbers(each) for each in by_direction(validation)],
+        "findings": findings(validation),
+    }
+
+
+def _parameters(best: PoseFit) -> dict[str, dict[str, Any]]:
+    if best.fit is None:
+        return {}
+    values, errors = best.fit.values.tolist(), best.fit.errors.tolist()
+    return {
+        p.name: {
+            "value": value,
+            "standard_deviation": None if p.name in best.undetermined else error,
+            "unit": p.unit,
+            "known_beforehand": p.prior if math.isfinite(p.prior) else None,
+            "identified": p.name not in best.fixed_by_prior and p.name not in best.undetermined,
+        }
+        for p, value, error in zip(best.fit.parameters, values, errors, strict=True)
+    }
+
+
+def _residual(validation: Validation) -> dict[str, Any]:
+    """Return cross-validated shares of the squared error; null where they do not exist."""
+    left = validation.residual
+    parts = {"last_pose_correlation": left.last_pose, "joints_predict": left.smooth, "joints_and_motion": left.motion}
+    lengths = {"mean_mm": 1e3 * left.mean, "learned_mean_mm": 1e3 * left.learned}
+    return {"kind": left.kind} | {
+        key: value if math.isfinite(value) else None for key, value in (parts | lengths).items()
+    }
+
+
+def _mm(spread: ErrorStatistics) -> dict[str, float | int | None]:
+    """Return lengths [mm]; null for NaN, which JSON does not have."""
+    lengths = {key: 1e3 * value for key, value in spread._asdict().items() if key != "poses"}
+    return {"poses": spread.poses, **{key: value if math.isfinite(value) else None for key, value in lengths.items()}}
+
+
+def _bin_numbers(each: ErrorBin) -> dict[str, Any]:
+    return {
+        "joint": each.joint,
+        "where": each.where,
+        **_mm(each.spread),
+        "along_mm": [1e3 * a if math.isfinite(a) else None for a in each.along],
+    }

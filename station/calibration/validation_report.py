@@ -1,18 +1,13 @@
 """Writes the report of a validation as one self-contained HTML file: errors, distribution, fitted parameters."""
 
 from collections.abc import Iterator, Sequence
-from html import escape
-from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from core.calibration.external_poses import ErrorStatistics
 from core.robot.robot import Array
 from station.calibration.findings import findings, undetermined_parameters
-from station.calibration.folder import REPORT_FILE
 from station.calibration.poses import RejectedPose
 from station.calibration.report import intervals
 from station.calibration.validation import (
@@ -23,32 +18,23 @@ from station.calibration.validation import (
     by_joint,
     found_rows,
 )
-from station.report import document, style, templates
-from station.report.figure import ReportFigure
+from station.report import document, style
+from station.report.document import ReportFigure
 
 #: Magnification of the errors in the figure of the positions.
 ERROR_SCALE = 10.0
 #: Largest number of left-out rows that the report lists.
 MAX_LISTED_ROWS = 200
+#: Heads of the tables of errors (after the first column) and of fitted parameters.
+ERROR_HEAD = ("at", "poses", "mean", "median", "95 %", "largest")
+FOUND_HEAD = ("", "before", "found", "+- (95 %)")
 MOTION_DIRECTIONS = ((1.0, "rising", 0), (-1.0, "falling", 2), (0.0, "not moved before", 3))
 
 
-def write_report(folder: Path, title: str, validation: Validation, facts: Sequence[tuple[str, str]]) -> Path:
-    """Write report.html to `folder`, which exists already, and return its path.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    with matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
-        page = document.document(title, _parts(title, validation, facts))
-    path = folder / REPORT_FILE
-    path.write_text(page, encoding="utf-8")
-    return path
-
-
-def _parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]]) -> Iterator[str]:
+def page_parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield the HTML elements of the page; `facts` are names and values for its top."""
     best = validation.best
-    yield f"<h1>{escape(title)}</h1>"
+    yield from document.page_head(title)
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("Errors")
     yield document.paragraph(
@@ -56,39 +42,33 @@ def _parts(title: str, validation: Validation, facts: Sequence[tuple[str, str]])
         " the point in the frame of the tip. Tubes: the same and the uncertain parameters of the tubes. Friction: the"
         " same and the lag of each tube's rotation, which depends on the order of the motions."
     )
-    yield document.table(("", "at", "poses", "mean", "median", "95 %", "largest"), error_rows(validation), texts=2)
+    yield document.table(("", *ERROR_HEAD), error_rows(validation), texts=2)
     yield document.heading("Findings")
     for sentence in findings(validation):
         yield document.paragraph(sentence)
     if best.fit is not None:
         yield document.heading("Results")
-        rows = [(row.name, row.before, row.found, row.interval) for row in found_rows(validation)]
-        yield document.table(("", "before", "found", "+- (95 %)"), rows)
-        if undetermined := undetermined_parameters(best):
-            yield document.heading("Parameters that the data do not determine")
-            yield document.table(("",), [(text,) for text in undetermined])
+        yield document.table(FOUND_HEAD, found_rows(validation))
+        undetermined = [(text,) for text in undetermined_parameters(best)]
+        yield from document.section("Parameters that the data do not determine", "", ("",), undetermined, texts=1)
     for figure in _figures(validation):
-        style.finish(figure.figure, f"measured poses of '{validation.robot.name}'")
-        yield document.picture(templates.data_uri(figure), figure.alt, figure.title, figure.caption)
+        yield document.picture(figure, f"measured poses of '{validation.robot.name}'")
     for heading, bins in (
         ("Errors by joint", by_joint(validation)),
         ("Errors by direction of travel", by_direction(validation)),
     ):
-        yield document.heading(heading)
-        if bins:
-            yield document.paragraph(
-                "In millimetres; the last columns are the mean error along x, y, z of the robot's frame."
-            )
-            head = ("joint", "where", "poses", "mean", "95 %", "largest", "x", "y", "z")
-            yield document.table(head, [_bin_row(each) for each in bins], texts=2)
-        else:
+        note = "In millimetres; the last columns are the mean error along x, y, z of the robot's frame."
+        head = ("joint", "where", "poses", "mean", "95 %", "largest", "x", "y", "z")
+        yield from document.section(heading, note, head, [_bin_row(each) for each in bins])
+        if not bins:
+            yield document.heading(heading)
             yield document.paragraph(
                 "No joint moved." if validation.poses.timed else "The order of the poses is unknown."
             )
     for poses in (validation.poses, validation.test):
-        if poses is not None and poses.left_out:
-            yield document.heading(f"Rows of {poses.path.name} that were left out")
-            yield document.table(("line", "why"), _left_rows(poses.left_out), texts=2)
+        if poses is not None:
+            heading = f"Rows of {poses.path.name} that were left out"
+            yield from document.section(heading, "", ("line", "why"), _left_rows(poses.left_out))
 
 
 def error_rows(validation: Validation) -> list[tuple[str, ...]]:
@@ -121,23 +101,18 @@ def _left_rows(left: Sequence[RejectedPose]) -> list[tuple[str, str]]:
 
 def _figures(validation: Validation) -> Iterator[ReportFigure]:
     yield _shares(validation)
-    if any(
-        np.ptp([measurement.joints[k] for measurement in validation.poses.measurements]) > 0.0
-        for k in _joints(validation)
-    ):
-        yield _over_joints(validation)
+    if moving := [k for k, travel in enumerate(np.ptp(_joints(validation), axis=0)) if travel > 0.0]:
+        yield _over_joints(validation, moving)
     yield _over_poses(validation)
     yield _positions(validation)
-    if (
-        validation.best.extent in ("tubes", "friction")
-        and validation.best.fit is not None
-        and validation.best.requested.quantities
-    ):
-        yield intervals(validation.best.fit, len(validation.best.requested.quantities))
+    best = validation.best
+    if best.extent in ("tubes", "friction") and best.fit is not None and best.requested.quantities:
+        yield intervals(best.fit, len(best.requested.quantities))
 
 
-def _joints(validation: Validation) -> range:
-    return range(len(validation.robot.joints))
+def _joints(validation: Validation) -> Array:
+    """Return the joint positions of all poses (k, n)."""
+    return np.array([measurement.joints for measurement in validation.poses.measurements])
 
 
 def _lengths(errors: Array) -> Array:
@@ -147,7 +122,7 @@ def _lengths(errors: Array) -> Array:
 
 def _shares(validation: Validation) -> ReportFigure:
     """Return the figure of the cumulative distribution of the errors."""
-    figure = Figure(figsize=(style.WIDTH_INCH, 2.8))
+    figure = style.blank(2.8)
     axes = figure.subplots()
     medians: list[str] = []
     for number, (each, errors) in enumerate(zip(validation.matches, validation.errors, strict=True)):
@@ -166,27 +141,19 @@ def _shares(validation: Validation) -> ReportFigure:
     return ReportFigure("shares", "Distribution of the errors", f"{text}.", text, figure)
 
 
-def _over_joints(validation: Validation) -> ReportFigure:
-    """Return the figure of the error of every pose, with a panel for each moving joint."""
-    joints, errors = (
-        np.array([measurement.joints for measurement in validation.poses.measurements]),
-        validation.errors[-1],
-    )
-    lengths = 1e3 * np.linalg.norm(errors, axis=1)
-    moving = [k for k in _joints(validation) if np.ptp(joints[:, k]) > 0.0]
-    figure = Figure(figsize=(style.WIDTH_INCH, 0.8 + 1.7 * len(moving)))
+def _over_joints(validation: Validation, moving: Sequence[int]) -> ReportFigure:
+    """Return the figure of the error of every pose, with a panel for each of the `moving` joints."""
+    joints, lengths = _joints(validation), 1e3 * np.linalg.norm(validation.errors[-1], axis=1)
+    figure = style.blank(0.8 + 1.7 * len(moving))
     grid = figure.subplots(len(moving), 1, squeeze=False)
     panels: list[Axes] = [row[0] for row in grid]
     for axes, k in zip(panels, moving, strict=True):
         joint = validation.robot.joints[k]
         factor, unit = (180.0 / np.pi, "deg") if joint.unit == "rad" else (1e3, "mm")
         for direction, label, number in MOTION_DIRECTIONS if validation.poses.timed else ((None, "pose", 2),):
-            arrivals = (
-                np.array([measurement.came for measurement in validation.poses.measurements])
-                if direction is not None
-                else None
-            )
-            these = np.ones(len(joints), bool) if arrivals is None else arrivals[:, k] == direction
+            these = np.ones(len(joints), bool)
+            if direction is not None:
+                these = np.array([measurement.came[k] == direction for measurement in validation.poses.measurements])
             if these.any():
                 line = style.series(number, label)
                 axes.plot(
@@ -212,7 +179,7 @@ def _over_poses(validation: Validation) -> ReportFigure:
     for column, axes in enumerate(panels):
         axes.plot(np.arange(1, len(errors) + 1), errors[:, column], ".", color=line.colour, markersize=3.0)
         axes.axhline(0.0, color=style.GREY, linewidth=0.7)
-    rms = " / ".join(f"{value:.3f}" for value in np.sqrt(np.nanmean(errors**2, axis=0)))
+    rms = style.slashed(np.sqrt(np.nanmean(errors**2, axis=0)), ".3f")
     order = "in the order of their times" if validation.poses.timed else "in the order of the file"
     text = f"Measured minus model along x / y / z of the robot's frame, poses {order}: {rms} mm RMS."
     return ReportFigure("over_poses", "Errors pose by pose", text, text, figure)
@@ -224,7 +191,7 @@ def _positions(validation: Validation) -> ReportFigure:
     points = 1e3 * best.frames.registration.apply(
         np.array([measurement.coil for measurement in validation.poses.measurements])
     )
-    figure = Figure(figsize=(style.WIDTH_INCH, 3.4))
+    figure = style.blank(3.4)
     for axes, (across, up) in zip(figure.subplots(1, 2), ((0, 2), (1, 2)), strict=True):
         axes.plot(points[:, across], points[:, up], ".", color=style.BLUE, markersize=3.0)
         axes.quiver(

@@ -38,7 +38,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _design(parsed: argparse.Namespace) -> int:
-    from station.design.design_output import sentences, tables, write_design
+    from station.design.design_report import sentences, tables, write_design
     from station.design.outcome import design, summary
     from station.design.search import Candidates, plan_of
     from station.design.study import load_study

@@ -150,8 +150,8 @@ def _print_results(
     from rich.console import Console
 
     from station.experiments.sweep import sweep_summary
-    from station.experiments.sweep_output import sweep_table, write_sweep
     from station.report.page import write_report
+    from station.report.sweep import sweep_table, write_sweep
 
     summary = sweep_summary(plan, rows, wall)
     write_sweep(folder, summary, plan.source, plan.started)
@@ -167,7 +167,7 @@ def _print_results(
 
 def _print_part(folder: Path, headline: str, rows: "Sequence[Row]", planned: int, *, as_json: bool) -> int:
     """Print the outcome of one part of a sweep. A part has no table; its manifest has its runs."""
-    from station.experiments.sweep_output import failure_lines
+    from station.report.sweep import failure_lines
 
     completed = len(rows) == planned and all(row["completed"] for row in rows)
     if as_json:

@@ -40,7 +40,7 @@ def _workspace(parsed: argparse.Namespace) -> int:
     from station.calibration.folder import new_folder
     from station.config.robots import load_robot
     from station.design.workspace import summary, workspace
-    from station.design.workspace_output import sentences, table, write_workspace
+    from station.design.workspace_report import sentences, table, write_workspace
 
     file = load_robot(parsed.robot)
     with progress_bar() as bar:

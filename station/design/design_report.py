@@ -1,46 +1,124 @@
-"""Report of a design study: loads that the found tubes hold, their shapes, and the course of the search."""
+"""Results of a design study: tables on the screen, files on the disk, and a report with figures.
+
+The figures show the loads that the found tubes hold, their shapes, and the course of the search.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
 
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.design import page
-from station.design.design_output import ROBOT_FILE, parameter_rows, rows, sentences
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError, toml_lines
 from station.design.outcome import DesignResult, EvaluatedDesign
-from station.design.search import CANDIDATES_FILE as KEPT
-from station.design.search import IMPOSSIBLE_COST
+from station.design.search import CANDIDATES_FILE, IMPOSSIBLE_COST
 from station.design.study import largest
 from station.report import document, style
-from station.report.figure import ReportFigure
+from station.report.document import ReportFigure
+
+NUMBERS_FILE, ROBOT_FILE = "design.json", "robot.toml"
+#: Rows of the table that compares the start robot with the found one: key of the summary, and label with unit.
+TABLE_ROWS = (
+    ("largest_force_n", "largest held force [N]"),
+    ("least_margin", "smallest margin of stability under the task's forces [1]"),
+    ("least_dexterity_mm_s", "smallest dexterity under them [mm/s]"),
+    ("least_stiffness_n_m", "smallest stiffness under them [N/m]"),
+    ("exact_away_mm", "exact rod: largest distance from the points [mm]"),
+    ("exact_margin", "exact rod: smallest margin [1]"),
+    ("exact_away_under_largest_mm", "the same under the largest force [mm]"),
+    ("exact_margin_under_largest", "the same under the largest force [1]"),
+)
+#: Label on every figure: origin of its data.
+ORIGIN_LABEL = "computed by the loaded model"
 
 
-def write_report(folder: Path, found: DesignResult, results: Mapping[str, Any]) -> None:
-    """Write report.html into `folder`.
+def _rows(summary: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the results table: label, value of the start robot, value of the found robot, their ratio."""
+    before, after, gain = summary["before"], summary["after"], summary["gain"]
+    return [
+        (label, _number(before[key]), _number(after[key]), f"{gain[key]:.3g}" if key in gain else "")
+        for key, label in TABLE_ROWS
+    ]
+
+
+def _parameter_rows(summary: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the parameter table: parameter and unit, start value, found value, search range."""
+    return [
+        (f"{each['key']} [{each['unit']}]", f"{each['before']:.5g}", f"{each['after']:.5g}",
+         f"{each['lower']:g} ... {each['upper']:g}")
+        for each in summary["parameters"]
+    ]  # fmt: skip
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Return a table of the results and a table of the parameters."""
+    names = summary["before"]["robot"], summary["after"]["robot"]
+    title = Text(f"{summary['title']}\n{summary['candidates']} candidates")
+    return [
+        document.terminal_table(("", *names, "times"), _rows(summary), title=title),
+        document.terminal_table(("parameter", *names, "search range"), _parameter_rows(summary)),
+    ]
+
+
+def sentences(summary: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for each robot about what limits its load, and warnings about the found robot."""
+    ends = [
+        f"Limit of the load of '{each['robot']}': {each['then']}." for each in (summary["before"], summary["after"])
+    ]
+    worse = [] if summary["better"] else ["The search found no robot that is better than the start robot."]
+    return [*worse, *ends, *([summary["warning"]] if summary["warning"] else [])]
+
+
+def robot_text(file: RobotFile) -> str:
+    """Return a robot as the TOML text of its file."""
+    table = file.model_dump(mode="json", exclude_none=True)
+    parts = {key: table.pop(key) for key in ("base", "workspace", "tubes", "joints") if key in table}
+    lines = toml_lines(table)
+    for name, part in parts.items():
+        for each in part if isinstance(part, list) else [part]:
+            lines += ["", f"[[{name}]]" if isinstance(part, list) else f"[{name}]", *toml_lines(each)]
+    return "\n".join(lines) + "\n"
+
+
+def write_design(folder: Path, found: DesignResult, summary: Mapping[str, Any]) -> None:
+    """Write the numbers, the found robot and the report into `folder`.
 
     Raises:
-        OSError: the file cannot be written.
-
+        ConfigError: the folder cannot be written to.
     """
-    names = results["before"]["robot"], results["after"]["robot"]
-    with page.drawing():
-        parts = page.page_head(
-            results["title"], f"{folder.name}: {results['candidates']} candidates, objective: {results['objective']}",
-            "Computed by the loaded model and checked with the exact rod: nothing was measured.",
-        )  # fmt: skip
-        parts.append(document.table(("", *names, "times"), rows(results)))
-        parts += [document.paragraph(text) for text in sentences(results)]
-        parts.append(document.heading("Tubes"))
-        parts.append(document.table(("parameter", *names, "search range"), parameter_rows(results)))
-        parts.append(document.paragraph(f"The robot as a file: {ROBOT_FILE}; every candidate: {KEPT}."))
-        parts.append(document.heading("Figures"))
-        parts += [page.figure_html(drawn) for drawn in _figures(found)]
-        page.write_page(folder, results["title"], parts)
+    try:
+        (folder / ROBOT_FILE).write_text(robot_text(found.after.file), encoding="utf-8")
+        parts = _parts(folder, found, summary)
+        document.write_results(folder, summary["title"], parts, {NUMBERS_FILE: summary})
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
+
+
+def _parts(folder: Path, found: DesignResult, summary: Mapping[str, Any]) -> Iterator[str]:
+    names = summary["before"]["robot"], summary["after"]["robot"]
+    yield from document.page_head(
+        summary["title"], f"{folder.name}: {summary['candidates']} candidates, objective: {summary['objective']}",
+        "Computed by the loaded model and checked with the exact rod: nothing was measured.",
+    )  # fmt: skip
+    yield document.table(("", *names, "times"), _rows(summary))
+    for text in sentences(summary):
+        yield document.paragraph(text)
+    yield document.heading("Tubes")
+    yield document.table(("parameter", *names, "search range"), _parameter_rows(summary))
+    yield document.paragraph(f"The robot as a file: {ROBOT_FILE}; every candidate: {CANDIDATES_FILE}.")
+    yield document.heading("Figures")
+    for drawn in _figures(found):
+        yield document.picture(drawn, ORIGIN_LABEL)
 
 
 def _figures(found: DesignResult) -> Iterator[ReportFigure]:
@@ -59,7 +137,7 @@ def _shapes(found: DesignResult, designs: list[tuple[EvaluatedDesign, style.Line
     task = found.study.file.task
     row = max(range(len(task.forces)), key=lambda number: largest([task.forces[number]]))
     force, points = np.array(task.forces[row]), 1e3 * np.array(task.points)
-    figure = Figure(figsize=(style.WIDTH_INCH, 5.0))
+    figure = style.blank(5.0)
     grid = figure.subplots(2, 1)
     for axes, up in zip(grid, (0, 1), strict=True):
         for each, line_style in designs:
@@ -75,7 +153,7 @@ def _shapes(found: DesignResult, designs: list[tuple[EvaluatedDesign, style.Line
     style.legend(figure, [grid[0]])
     return ReportFigure(
         "shapes", "The tubes at the first and the last point",
-        f"Under {largest([task.forces[row]]):g} N in direction {' / '.join(f'{part:g}' for part in task.forces[row])}"
+        f"Under {largest([task.forces[row]]):g} N in direction {style.slashed(task.forces[row], 'g')}"
         " (x / y / z), by the loaded model.",
         "Shapes of both robots at the first and last point of the task, in two projections.", figure,
     )  # fmt: skip

@@ -1,4 +1,7 @@
-"""Report of a workspace study: region that the tip reaches, and quality measures over this region and each joint."""
+"""Results of a workspace study: table on the screen, files on the disk, and a report with figures.
+
+The figures show the region that the tip reaches, and quality measures over this region and each joint.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -6,43 +9,94 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
-from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
 
 from core.robot.robot import Array
+from station.config.strict import ConfigError
 from station.control.monitors import Margins
-from station.design import page
-from station.design.workspace import WorkspaceStudy
-from station.design.workspace_output import POSES_FILE, head, rows, sentences
+from station.design.workspace import PERCENTILES, WorkspaceStudy
 from station.report import document, style
-from station.report.figure import ReportFigure
+from station.report.document import ReportFigure
 
+NUMBERS_FILE, POSES_FILE = "workspace.json", "poses.csv"
+#: Rows of the table of quality measures: key of the summary, and label with unit.
+TABLE_ROWS = (
+    ("dexterity_mm_s", "dexterity: the tip's slowest direction, joints at full speed [mm/s]"),
+    ("stiffness_n_m", "stiffness of the tip in its softest direction [N/m]"),
+    ("margin", "margin of stability [1]: 1 straight and unloaded, 0 snaps"),
+)
+TABLE_HEAD = ("over the poses", "least", "5 %", "median", "95 %", "most")
 #: Number of cells along each axis of a map, and number of bins into which a joint's travel is divided.
 MAP_CELLS, TRAVEL_BINS = 45, 24
 COLOUR_MAP = "viridis"  # perceptually uniform, also for colour-blind readers and in grey
 
 
-def write_report(folder: Path, found: WorkspaceStudy, summary: Mapping[str, Any]) -> None:
-    """Write report.html into `folder`.
+def _title(summary: Mapping[str, Any]) -> str:
+    """Return a title with the robot and the load."""
+    x, y, z = summary["force_n"]
+    load = f"under {x:g} / {y:g} / {z:g} N (x / y / z)" if x or y or z else "without load"
+    return f"Workspace of '{summary['robot']}' {load}"
+
+
+def sentences(summary: Mapping[str, Any]) -> list[str]:
+    """Return sentences with the numbers of a workspace that are not in its table."""
+    reach = ", ".join(
+        f"{axis} {ends['least']:.1f} ... {ends['most']:.1f}" for axis, ends in summary["reach_mm"].items()
+    )
+    return [
+        f"The tip reaches {reach} mm: {summary['reach_cm3']:.4g} cm^3,"
+        f" counted in cells of {summary['reach_cell_mm']:g} mm.",
+        f"{summary['poses']} poses are spread over the joints' travel;"
+        f" {summary['without_shape']} have no model solution;"
+        f" {100.0 * summary['below_it']:.3g} % of the others have a margin below {summary['held_below_margin']:g},"
+        " at which a motion ends in HOLD.",
+    ]
+
+
+def _rows(summary: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of the table of quality measures as texts."""
+    return [(label, *(f"{summary[key][part]:.4g}" for part in PERCENTILES)) for key, label in TABLE_ROWS]
+
+
+def table(summary: Mapping[str, Any]) -> Table:
+    """Return a table for the terminal with a row for each quality measure."""
+    return document.terminal_table(TABLE_HEAD, _rows(summary), title=Text(_title(summary), justify="left"))
+
+
+def write_workspace(folder: Path, found: WorkspaceStudy, summary: Mapping[str, Any]) -> None:
+    """Write the numbers, every pose and the report into `folder`.
 
     Raises:
-        OSError: the file cannot be written.
-
+        ConfigError: the folder cannot be written to.
     """
-    with page.drawing():
-        parts = page.page_head(
-            head(summary), f"{folder.name}; robot '{found.file.name}' ({found.file.source or 'unknown source'})",
-            "Computed by the loaded model: nothing was measured.",
-        )  # fmt: skip
-        parts += [document.paragraph(text, "result") for text in sentences(summary)]
-        parts.append(document.table(("over the poses", "least", "5 %", "median", "95 %", "most"), rows(summary)))
-        parts.append(document.heading("Figures"))
-        parts += [page.figure_html(drawn) for drawn in (_reach(found), _maps(found), _joints(found))]
-        parts.append(document.paragraph(f"All poses with their numbers: {POSES_FILE}."))
-        page.write_page(folder, head(summary), parts)
+    joints = [f"{joint.name} [{joint.unit}]" for joint in found.file.robot().joints]
+    columns = [*joints, "tip_x [m]", "tip_y [m]", "tip_z [m]", "dexterity [m/s]", "stiffness [N/m]", "margin [1]"]
+    numbers = np.column_stack((found.joints, found.tips, found.dexterity, found.stiffness, found.margin))
+    poses = [columns, *([f"{value:.9g}" for value in row] for row in numbers.tolist())]
+    parts = _parts(folder, found, summary)
+    try:
+        document.write_results(folder, _title(summary), parts, {NUMBERS_FILE: summary}, {POSES_FILE: poses})
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
+
+
+def _parts(folder: Path, found: WorkspaceStudy, summary: Mapping[str, Any]) -> Iterator[str]:
+    yield from document.page_head(
+        _title(summary), f"{folder.name}; robot '{found.file.name}' ({found.file.source or 'unknown source'})",
+        "Computed by the loaded model: nothing was measured.",
+    )  # fmt: skip
+    for text in sentences(summary):
+        yield document.paragraph(text, "result")
+    yield document.table(TABLE_HEAD, _rows(summary))
+    yield document.heading("Figures")
+    for drawn in (_reach(found), _maps(found), _joints(found)):
+        yield document.picture(drawn, "computed by the loaded model")
+    yield document.paragraph(f"All poses with their numbers: {POSES_FILE}.")
 
 
 def _reach(found: WorkspaceStudy) -> ReportFigure:
-    figure = Figure(figsize=(style.WIDTH_INCH, 3.0))
+    figure = style.blank(3.0)
     tips = 1e3 * found.tips
     maps: list[Any] = []
     for axes, (across, up) in zip(figure.subplots(1, 3), ((2, 0), (2, 1), (1, 0)), strict=True):
@@ -60,7 +114,7 @@ def _reach(found: WorkspaceStudy) -> ReportFigure:
 
 
 def _maps(found: WorkspaceStudy) -> ReportFigure:
-    figure = Figure(figsize=(style.WIDTH_INCH, 3.0))
+    figure = style.blank(3.0)
     base = np.asarray(found.file.robot().base.position)
     x, y, z = 1e3 * (found.tips - base).T
     radius = np.hypot(x, y)
@@ -88,7 +142,7 @@ def _joints(found: WorkspaceStudy) -> ReportFigure:
         ("stiffness [N/m]", found.stiffness, True),
         ("margin [1]", found.margin, False),
     )
-    figure = Figure(figsize=(style.WIDTH_INCH, 5.2))
+    figure = style.blank(5.2)
     grid = figure.subplots(3, len(across), sharex="col", sharey="row", squeeze=False)
     for line, (label, values, logarithmic) in zip(grid, rows, strict=True):
         for axes, (name, positions) in zip(line, across, strict=True):

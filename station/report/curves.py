@@ -9,8 +9,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from core.robot.robot import Array
 from station.config.strict import Row, Strict
-from station.report.atomic_write import ReportError, write_atomically
-from station.report.run import RecordedCase, read_run
+from station.recording.run_folder import write_atomically
+from station.report.run import RecordedCase, ReportError, read_run
 
 CURVES_FILE = "curves.json"
 #: Number of time intervals into which a curve is divided; the largest value of each interval is kept.

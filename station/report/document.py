@@ -1,8 +1,27 @@
-"""HTML elements of a report, which is one file without network access, for the screen and for printing."""
+"""Report kit: pages of one HTML file without network access, for the screen and for printing; folders of results."""
 
-from collections.abc import Iterable, Sequence
+import base64
+import csv
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import matplotlib
+from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
+
+from station.recording.run_folder import write_atomically, write_json
+from station.report import style
+
+REPORT_FILE = "report.html"
+#: Resolution of PNG files [pixels per inch].
+PNG_DPI = 200
+#: Lock for drawing: matplotlib's settings are global to the process, so only one report may be drawn at a time.
+_DRAWING = threading.Lock()
 DOCUMENT_CSS = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #15191d; background: #fff;
@@ -34,14 +53,67 @@ pre { font: .8rem/1.4 ui-monospace, "DejaVu Sans Mono", monospace; background: #
 """
 
 
-def document(title: str, parts: Iterable[str]) -> str:
-    """Return the HTML of a whole report page with its style sheet."""
-    body = "\n".join(parts)
-    return (
+class ReportFigure(NamedTuple):
+    """One figure of a report, with its title, caption and text alternative."""
+
+    name: str  #: name of the figure's PNG and PDF files
+    title: str
+    caption: str  #: content of the figure and origin of its numbers
+    alt: str  #: text alternative for readers who cannot see the figure
+    figure: Figure
+
+
+def write_page(folder: Path, title: str, parts: Iterable[str]) -> Path:
+    """Write report.html into `folder` and return its path; figures among the `parts` are drawn while they are read.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    with _DRAWING, matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
+        body = "\n".join(parts)
+    return write_atomically(
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
-        f"<style>{DOCUMENT_CSS}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
+        f"<style>{DOCUMENT_CSS}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n",
+        folder / REPORT_FILE,
     )
+
+
+def write_results(
+    folder: Path,
+    title: str,
+    parts: Iterable[str],
+    numbers: Mapping[str, Any],
+    tables: Mapping[str, Iterable[Sequence[Any]]] = {},
+) -> Path:
+    """Write a folder of results, and return the path of its report.html.
+
+    Args:
+        folder: existing folder.
+        title: title of the page.
+        parts: HTML elements of the page.
+        numbers: JSON values by file name.
+        tables: rows of CSV files, with their heads, by file name.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    for name, rows in tables.items():
+        text = StringIO()
+        csv.writer(text).writerows(rows)
+        write_atomically(text.getvalue(), folder / name)
+    for name, value in numbers.items():
+        write_json(folder / name, value)
+    return write_page(folder, title, parts)
+
+
+def page_head(title: str, sub: str = "", note: str = "") -> Iterator[str]:
+    """Yield the HTML elements of a page's head: title, subtitle and note."""
+    yield f"<h1>{escape(title)}</h1>"
+    if sub:
+        yield paragraph(sub, "sub")
+    if note:
+        yield paragraph(note, "note")
 
 
 def heading(text: str) -> str:
@@ -59,11 +131,27 @@ def text_block(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
-def picture(source: str, alt: str, title: str, caption: str) -> str:
-    """Return an HTML figure with title and caption; `source` is the picture as a data URI."""
+def picture(drawn: ReportFigure, origin: str, out: Path | None = None) -> str:
+    """Return a figure as an HTML element with title and caption; the same data give the same text.
+
+    Args:
+        drawn: figure to show.
+        origin: origin of the data, which the figure states at its bottom.
+        out: folder for NAME.png and NAME.pdf; None: these files are not written.
+
+    Raises:
+        OSError: the files cannot be written.
+    """
+    style.finish(drawn.figure, origin)
+    if out is not None:
+        drawn.figure.savefig(out / f"{drawn.name}.png", dpi=PNG_DPI, metadata={"Description": drawn.alt})
+        drawn.figure.savefig(out / f"{drawn.name}.pdf", metadata={"Title": drawn.title, "CreationDate": None})
+    buffer = BytesIO()
+    drawn.figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    source = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
     return (
-        f'<figure><img src="{source}" alt="{escape(alt, quote=True)}">'
-        f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
+        f'<figure><img src="{source}" alt="{escape(drawn.alt, quote=True)}">'
+        f"<figcaption><b>{escape(drawn.title)}.</b> {escape(drawn.caption)}</figcaption></figure>"
     )
 
 
@@ -85,3 +173,24 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) ->
         lines.append(f"<tr{' class=' + chr(34) + 'first' + chr(34) if first else ''}>{cells}</tr>")
     top = "".join(cell("th", column, text) for column, text in enumerate(head))
     return f"<table><thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def section(title: str, note: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 2) -> Iterator[str]:
+    """Yield heading, note and table of a section; nothing without rows."""
+    if rows:
+        yield heading(title)
+        if note:
+            yield paragraph(note)
+        yield table(head, rows, texts)
+
+
+def terminal_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1, title: Text | None = None
+) -> Table:
+    """Return a table for the terminal; the first `texts` columns are texts, the others numbers."""
+    shown = Table(title=title, title_style="")
+    for column, label in enumerate(head):
+        shown.add_column(label, justify="left" if column < texts else "right")
+    for row in rows:
+        shown.add_row(*row)
+    return shown

@@ -1,17 +1,68 @@
-"""Texts and tables of a report: outcome, simulated parts, serial line, configuration and versions."""
+"""Texts and tables of a run's report: outcome, errors, the paper's numbers, serial line, configuration and versions.
+
+The errors come from the run's summary, in millimetres, from the time `counted_from_s` on. `measured` errors compare the
+desired tip with the tracker, as in the paper; `true` errors compare it with the simulated real robot (plant).
+"""
 
 import json
 from collections.abc import Iterator, Mapping
 from datetime import datetime
-from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from station.recording.run_folder import EXPERIMENT_FILE
 from station.recording.run_outcome import case_outcomes, evaluation_note
 from station.report import document
-from station.report.comparison import all_errors, paper_comparison
 from station.report.run import RecordedRun
 from station.report.style import AXES
+
+
+class ComparisonFigure(NamedTuple):
+    """One number that the paper reports, with the measured and the true number of a run."""
+
+    case: str
+    quantity: str
+    paper: float
+    measured: float
+    true: float | None  #: true number; None if the recording has no ground truth
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the measured number to the paper's."""
+        return self.measured / self.paper
+
+
+class ComparedErrors(NamedTuple):
+    """One kind of tip error of one case (e.g. largest true error) in x, y and z."""
+
+    case: str
+    kind: str
+    values: tuple[float, float, float]
+
+
+def paper_comparison(run: RecordedRun) -> Iterator[ComparisonFigure]:
+    """Yield every number that the paper reports for a case of this run, with the numbers of the run."""
+    for name, numbers in run.summary.get("cases", {}).items():
+        true = numbers.get("true_max_abs_error_mm")
+        for axis, paper in run.paper(name, "max_abs_error_mm").items():
+            if "max_abs_error_mm" in numbers:
+                at = AXES.index(axis)
+                measured = numbers["max_abs_error_mm"][at]
+                yield ComparisonFigure(name, f"largest |E| in {axis}", paper, measured, true[at] if true else None)
+        for model, paper in run.paper(name, "model_error_mm").items():
+            if model in numbers.get("model_error_mm", {}):
+                measured = numbers["model_error_mm"][model]
+                yield ComparisonFigure(name, f"mean distance of the {model} model", paper, measured, None)
+
+
+def all_errors(run: RecordedRun) -> Iterator[ComparedErrors]:
+    """Yield the largest and RMS errors of every case."""
+    for name, numbers in run.summary.get("cases", {}).items():
+        for kind, key in (("largest |E|", "max_abs_error_mm"), ("RMS E", "rms_error_mm")):
+            for against, prefix in (("measured", ""), ("true", "true_")):
+                if prefix + key in numbers:
+                    x, y, z = numbers[prefix + key]
+                    yield ComparedErrors(name, f"{kind}, {against}", (x, y, z))
 
 
 def origin(run: RecordedRun) -> str:
@@ -30,8 +81,7 @@ def _own_lab(run: RecordedRun) -> bool:
 def head(run: RecordedRun) -> Iterator[str]:
     """Yield the title of a report, and notes about simulated parts, deviations from the case and incomplete cases."""
     title = run.table.get("title") or run.summary.get("title") or run.experiment
-    yield f"<h1>{escape(str(title))}</h1>"
-    yield document.paragraph(run.folder.name, "sub")
+    yield from document.page_head(str(title), run.folder.name)
     if run.simulated:
         labs = {case.name: str(case.metadata.get("lab", {}).get("title", "")) for case in run.cases}
         first = next(iter(labs.values())) or str(run.summary.get("lab", "virtual lab"))
@@ -58,20 +108,18 @@ def paper_table(run: RecordedRun) -> Iterator[str]:
     """Yield a table that compares the measured numbers with those of the paper."""
     printed = list(paper_comparison(run))
     bent = any(row.case.endswith("_distorted") for row in printed)
-    if printed:
-        yield document.heading("The paper's numbers and ours")
-        yield document.paragraph(
-            "Millimetres. Measured: error of the tracker's tip, as in the paper. True: error of the simulated tip."
-            " Ratio: measured number divided by the paper's number."
-            + (" Distorted: the tracker's field is bent, so that its positions have an error." if bent else "")
-        )
-        head = ("case", "quantity", "paper", "here, measured", "here, true", "ratio")
-        cells = (
-            (row.case, row.quantity, f"{row.paper:g}", f"{row.measured:.2f}",
-             "" if row.true is None else f"{row.true:.2f}", f"{row.ratio:.2f}")
-            for row in printed
-        )  # fmt: skip
-        yield document.table(head, cells, texts=2)
+    note = (
+        "Millimetres. Measured: error of the tracker's tip, as in the paper. True: error of the simulated tip."
+        " Ratio: measured number divided by the paper's number."
+        + (" Distorted: the tracker's field is bent, so that its positions have an error." if bent else "")
+    )
+    cells = [
+        (row.case, row.quantity, f"{row.paper:g}", f"{row.measured:.2f}",
+         "" if row.true is None else f"{row.true:.2f}", f"{row.ratio:.2f}")
+        for row in printed
+    ]  # fmt: skip
+    head = ("case", "quantity", "paper", "here, measured", "here, true", "ratio")
+    yield from document.section("The paper's numbers and ours", note, head, cells)
 
 
 def result(run: RecordedRun) -> Iterator[str]:
@@ -109,38 +157,30 @@ def direction_table(run: RecordedRun) -> Iterator[str]:
         for name, numbers in run.summary.get("cases", {}).items()
         if (off := numbers.get("true_direction_error_deg"))
     ]
-    if rows:
-        yield document.heading("Where the tip pointed")
-        yield document.paragraph(
-            "Errors of the true tip. Angles are against the desired direction, or against the direction at the start"
-            " if the direction was not controlled."
-        )
-        head = ("case", "95 % of distances [mm]", "95 % of angles [deg]", "largest [deg]", "smallest")
-        yield document.table(head, rows, texts=1)
+    note = (
+        "Errors of the true tip. Angles are against the desired direction, or against the direction at the start"
+        " if the direction was not controlled."
+    )
+    head = ("case", "95 % of distances [mm]", "95 % of angles [deg]", "largest [deg]", "smallest")
+    yield from document.section("Where the tip pointed", note, head, rows, texts=1)
 
 
 def bound_table(run: RecordedRun) -> Iterator[str]:
     """Yield a table that compares the errors of a run with the best possible ones; only for too fast loads."""
     rows = [
-        (
-            name,
-            change,
-            f"{part['true_max_distance_mm']:.2f}",
-            f"{least:.2f}",
-            f"{part['true_max_distance_mm'] / least:.2f}",
-        )
+        (name, change, *(f"{value:.2f}" for value in (reached, least, reached / least)))
         for name, numbers in run.summary.get("cases", {}).items()
         for change, part in numbers.get("by_change", {}).items()
         if (least := part.get("best_possible_mm"))
+        for reached in [part["true_max_distance_mm"]]
     ]
-    if rows:
-        yield document.heading("Comparison with the best possible")
-        yield document.paragraph(
-            "Largest distance of the true tip from its path, in millimetres, after each moment at which the load starts"
-            " to change. Best possible: joints within the speeds and accelerations of these stages, on the true tubes,"
-            " with the load's course known from that moment on."
-        )
-        yield document.table(("case", "load changes at", "reached", "best possible", "ratio"), rows, texts=2)
+    note = (
+        "Largest distance of the true tip from its path, in millimetres, after each moment at which the load starts to"
+        " change. Best possible: joints within the speeds and accelerations of these stages, on the true tubes, with"
+        " the load's course known from that moment on."
+    )
+    head = ("case", "load changes at", "reached", "best possible", "ratio")
+    yield from document.section("Comparison with the best possible", note, head, rows)
 
 
 def line_table(run: RecordedRun) -> Iterator[str]:
@@ -150,9 +190,8 @@ def line_table(run: RecordedRun) -> Iterator[str]:
         for name, numbers in run.summary.get("cases", {}).items()
         for axis, rates in numbers.get("line_rates", {}).items()
     ]
-    if rows:
-        yield document.heading("Serial line")
-        yield document.table(("case", "axis", "velocities per second", "position polls per second"), rows, texts=2)
+    head = ("case", "axis", "velocities per second", "position polls per second")
+    yield from document.section("Serial line", "", head, rows)
 
 
 def source(folder: Path) -> Iterator[str]:
@@ -163,7 +202,7 @@ def source(folder: Path) -> Iterator[str]:
 
 
 def _source_text(folder: Path) -> str:
-    path = folder / "experiment.toml"
+    path = folder / EXPERIMENT_FILE
     return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 

@@ -1,21 +1,25 @@
-"""Report of a run as one self-contained HTML file."""
+"""Report of a run or a sweep as one self-contained HTML file, with the figures of its experiment."""
 
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-import matplotlib
+from station.recording.history import SWEEP_FILE
+from station.report import document, facts, load_figures, loop_figures, sweep, tip_figures
+from station.report.document import ReportFigure
+from station.report.run import RecordedRun, ReportError, read_run
 
-from station.experiments.sweep_output import SWEEP_FILE
-from station.report import document, facts, spread, style, templates
-from station.report.atomic_write import ReportError, write_atomically
-from station.report.figure import ReportFigure
-from station.report.figures import figures
-from station.report.run import read_run
-
-REPORT_FILE = "report.html"
-#: Lock for drawing: matplotlib's settings are global to the process, so only one report may be drawn at a time.
-_DRAWING = threading.Lock()
+#: Functions that draw the figures, by the name of the experiment; any other experiment gets the overview.
+FIGURES_BY_EXPERIMENT: Mapping[str, tuple[Callable[[RecordedRun], Iterator[ReportFigure]], ...]] = {
+    "fig3": (tip_figures.strategies,),
+    "fig4": (load_figures.deflection, load_figures.deflection_rate),
+    "fig6": (tip_figures.models,),
+    "fig7": (tip_figures.tracking,),
+    "fig8": (tip_figures.tracking, load_figures.deflection_rate),
+    "fig10": (tip_figures.tracking, load_figures.paper_force, load_figures.deflection_rate),
+    "step_response": (loop_figures.steps,),
+    "load_rate": (load_figures.load_rate,),
+    "follow": (tip_figures.follow,),
+}
 
 
 def write_report(folder: Path, out: Path | None = None) -> Path:
@@ -34,15 +38,20 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
         ConfigError, RecordingError: a file of the run cannot be read.
         ReportError: the report cannot be written.
     """
-    with _DRAWING, matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
-        try:
-            if out is not None:
-                out.mkdir(parents=True, exist_ok=True)
-            is_sweep = (folder / SWEEP_FILE).is_file()
-            page = document.document(f"{folder.name}: report", (_sweep if is_sweep else _run)(folder, out))
-            return write_atomically(page, (out or folder) / REPORT_FILE)
-        except OSError as error:
-            raise ReportError(f"{out or folder}: cannot write the report: {error.strerror}") from None
+    parts = _sweep if (folder / SWEEP_FILE).is_file() else _run
+    try:
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+        return document.write_page(out or folder, f"{folder.name}: report", parts(folder, out))
+    except OSError as error:
+        raise ReportError(f"{out or folder}: cannot write the report: {error.strerror}") from None
+
+
+def figures(run: RecordedRun) -> Iterator[ReportFigure]:
+    """Yield all figures of a run's report."""
+    chosen = FIGURES_BY_EXPERIMENT.get(run.experiment, (tip_figures.overview,))
+    for draw in (*chosen, loop_figures.timing):
+        yield from draw(run)
 
 
 def _run(folder: Path, out: Path | None) -> Iterator[str]:
@@ -55,22 +64,15 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
     if not run.cases:
         yield document.paragraph("Nothing was recorded.")
     for drawn in figures(run):
-        yield _shown(drawn, facts.origin(run), out)
+        yield document.picture(drawn, facts.origin(run), out)
     yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)
 
 
 def _sweep(folder: Path, out: Path | None) -> Iterator[str]:
-    sweep, parts = spread.sweep_parts(folder)
+    found, parts = sweep.sweep_parts(folder)
     yield from parts
-    for drawn in spread.draw(sweep):
-        yield _shown(drawn, "simulated bench", out)
+    for drawn in sweep.draw(found):
+        yield document.picture(drawn, "simulated bench", out)
     yield from facts.source(folder)
-
-
-def _shown(drawn: ReportFigure, origin: str, out: Path | None) -> str:
-    style.finish(drawn.figure, origin)
-    if out is not None:
-        templates.write_files(drawn, out)
-    return document.picture(templates.data_uri(drawn), drawn.alt, drawn.title, drawn.caption)

@@ -23,8 +23,8 @@ from core.robot.robot import Array, Robot
 from station.config.controllers import ControllerFile
 from station.config.robots import RobotFile
 from station.config.strict import check
-from station.report.atomic_write import ReportError, write_atomically
-from station.report.run import NoRun, RecordedCase, RecordedRun, read_run
+from station.recording.run_folder import write_atomically
+from station.report.run import NoRun, RecordedCase, RecordedRun, ReportError, read_run
 
 REPLAY_FILE = "replay.html"
 STATIC = Path(__file__).parent / "static"

@@ -15,6 +15,7 @@ from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.experiments.experiment import variants
 from station.recording.read import open_case
+from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, RECORDING_SUFFIX, SUMMARY_FILE
 from station.recording.run_outcome import desired
 
 #: Channel groups of a recording that reports and players need; other groups are not kept in memory.
@@ -26,12 +27,14 @@ KEPT_GROUPS = frozenset((
 ))  # fmt: skip
 #: Largest number of rows of a case in memory; of a recording of more than 33 minutes only every n-th row is kept.
 MAX_ROWS = 1_000_000
-#: File name of the only recording of a live run; the metadata have the name of the experiment's case.
-LIVE_CASE = "run"
 
 
 class NoRun(CtrError):
     """A folder has no run, or none from which a report can be created."""
+
+
+class ReportError(CtrError):
+    """A report cannot be written."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,11 @@ class RecordedCase:
         """Return the desired tip position minus that of the simulated real robot (ticks, 3) [mm]."""
         return 1e3 * (self.desired_tip() - self.of("tip_true"))
 
+    def measured_tip(self) -> tuple[Array, Array]:
+        """Return measurement times (f,) [s] and measured tip positions (f, 3) [mm] of all tracker frames."""
+        new = self.of("tip_new")[:, 0] > 0.0
+        return self.of("tip_time")[new, 0], 1e3 * self.of("tip_measured")[new]
+
     def measured_error(self) -> tuple[Array, Array]:
         """Return measurement times (f,) [s] and desired minus measured tip (f, 3) [mm] of all tracker frames."""
         new = self.of("tip_new")[:, 0] > 0.0
@@ -155,11 +163,12 @@ def read_run(folder: Path) -> RecordedRun:
         ConfigError: the experiment's file cannot be read.
         RecordingError: a recording cannot be read.
     """
-    recordings = sorted(folder.glob("*.mcap"))
-    if not recordings and not (folder / "summary.json").is_file():
+    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
+    summary_file, experiment_file = folder / SUMMARY_FILE, folder / EXPERIMENT_FILE
+    if not recordings and not summary_file.is_file():
         raise NoRun(f"{folder}: no run in this folder: it has neither a recording (.mcap) nor summary.json")
-    summary = read_json(folder / "summary.json") if (folder / "summary.json").is_file() else {}
-    table = read_toml(folder / "experiment.toml") if (folder / "experiment.toml").is_file() else {}
+    summary = read_json(summary_file) if summary_file.is_file() else {}
+    table = read_toml(experiment_file) if experiment_file.is_file() else {}
     cases = [case for path in recordings if len((case := _read_case(path, table, summary)).rows)]
     order = list(summary.get("cases", {}))
     cases.sort(key=lambda case: order.index(case.name) if case.name in order else len(order))

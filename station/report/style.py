@@ -4,7 +4,7 @@ A quantity has the same colour and dash in every figure. If the operator's page 
 the quantity, both use the same colour.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,9 +80,14 @@ def series(number: int, label: str) -> LineStyle:
     return SERIES[number % len(SERIES)]._replace(label=label)
 
 
+def blank(height: float) -> Figure:
+    """Return an empty figure with the width of all figures and this height [inch]."""
+    return Figure(figsize=(WIDTH_INCH, height))
+
+
 def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time [s]") -> tuple[Figure, list[Axes]]:
     """Return a figure with diagrams on top of each other over one time axis, one for each label of a value axis."""
-    figure = Figure(figsize=(WIDTH_INCH, 0.7 + height * len(labels)))
+    figure = blank(0.7 + height * len(labels))
     grid = figure.subplots(len(labels), 1, sharex=True, squeeze=False)
     axes = [row[0] for row in grid]
     for each, label in zip(axes, labels, strict=True):
@@ -116,6 +121,17 @@ def draw(axes: Axes, times: Array, values: Array, line: LineStyle, *, label: boo
         shown, heights, color=line.colour, linestyle=line.dash, linewidth=line.width, alpha=line.alpha,
         label=line.label if label else None,
     )  # fmt: skip
+
+
+def draw_components(axes: Sequence[Axes], times: Array, values: Array, line: LineStyle) -> None:
+    """Draw each component of `values` (m, k) over `times` (m,) on its own diagram, the first k of `axes`."""
+    for each, component in zip(axes, values.T, strict=False):
+        draw(each, times, component, line)
+
+
+def slashed(values: Iterable[float], form: str = ".2f") -> str:
+    """Return numbers of several axes as a text, such as `0.10 / 0.20 / 0.30`."""
+    return " / ".join(format(value, form) for value in values)
 
 
 def averaged(times: Array, values: Array, span: float) -> tuple[Array, Array]:

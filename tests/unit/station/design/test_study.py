@@ -4,7 +4,7 @@ import pytest
 
 from station.config.robots import load_robot, robot_of
 from station.config.strict import ConfigError, preset_names
-from station.design.design_output import robot_text
+from station.design.design_report import robot_text
 from station.design.study import load_study
 
 TEXT = """title = "one"

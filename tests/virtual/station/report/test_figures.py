@@ -11,9 +11,9 @@ import pytest
 
 from station.experiments.case_summary import fit_step
 from station.recording.read import CaseRecording, read_case
-from station.report import deflection, force, model, overview, rates, steps, strategies, style, timing, tracking
+from station.report import load_figures, loop_figures, style, tip_figures
 from station.report.facts import head, origin
-from station.report.figures import FIGURES_BY_EXPERIMENT, figures
+from station.report.page import FIGURES_BY_EXPERIMENT, figures
 from station.report.run import RecordedRun, read_run
 
 #: By experiment: duration [s], settling time [s], cases that are left out here, and names of the expected figures.
@@ -69,7 +69,7 @@ def test_every_report_figure_has_units_texts_and_lines(run, tmp_path):
 
 def test_the_report_of_fig3_shows_the_true_tip_of_every_strategy(preset_run):
     run = read_run(preset_run("fig3", *RUNS["fig3"][:3]))
-    positions, errors = strategies.draw(run)
+    positions, errors = tip_figures.strategies(run)
     z = {line.get_label(): line for line in positions.figure.axes[2].lines}
 
     assert set(z) == {
@@ -90,7 +90,7 @@ def test_the_report_of_fig3_shows_the_true_tip_of_every_strategy(preset_run):
 
 def test_the_caption_of_fig4_has_the_size_of_each_part_of_the_deflection(preset_run):
     run = read_run(preset_run("fig4", *RUNS["fig4"][:3]))
-    (drawn,) = deflection.draw(run)
+    (drawn,) = load_figures.deflection(run)
     rows = recording(run, "deflection")
     one, two = (1e3 * np.linalg.norm(rows.of(group), axis=1).max() for group in ("delta_1", "delta_2"))
 
@@ -101,7 +101,7 @@ def test_the_caption_of_fig4_has_the_size_of_each_part_of_the_deflection(preset_
 
 def test_the_report_of_fig6_shows_the_mean_model_distances_of_the_summary(preset_run):
     run = read_run(preset_run("fig6", *RUNS["fig6"][:3]))
-    (drawn,) = model.draw(run)
+    (drawn,) = tip_figures.models(run)
     numbers = run.summary["cases"]["turn"]["model_error_mm"]
     rows = recording(run, "turn")
     late = rows.of("tip_new")[:, 0] > 0.0  # all frames count, because the load acts from the start on
@@ -116,12 +116,12 @@ def test_the_report_of_fig6_shows_the_mean_model_distances_of_the_summary(preset
 
 
 def test_the_report_of_a_fig6_run_that_ended_too_early_has_no_figure(synthetic_case):
-    assert list(model.draw(RecordedRun(Path("x"), "fig6", {}, {}, (synthetic_case(settling=10.0),)))) == []
+    assert list(tip_figures.models(RecordedRun(Path("x"), "fig6", {}, {}, (synthetic_case(settling=10.0),)))) == []
 
 
 def test_the_report_of_fig7_shows_the_papers_bounds_and_the_largest_error(preset_run):
     run = read_run(preset_run("fig7", *RUNS["fig7"][:3]))
-    (drawn,) = tracking.draw(run)
+    (drawn,) = tip_figures.tracking(run)
     rows = recording(run, "regulation")
     late = rows.of("time")[:, 0] >= 0.5 - 1e-9
     true = 1e3 * np.abs(rows.of("tip_desired") - rows.of("tip_true"))[late].max(axis=0)
@@ -142,7 +142,7 @@ def test_the_report_of_fig7_shows_the_papers_bounds_and_the_largest_error(preset
 
 def test_the_fig9_figure_shows_the_force_and_its_error(preset_run):
     run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
-    (drawn,) = force.draw(run)
+    (drawn,) = load_figures.paper_force(run)
     rows = recording(run, "paper")
     rms = np.sqrt(np.mean((rows.of("force_filtered") - rows.of("force_true")) ** 2, axis=0))
 
@@ -151,7 +151,7 @@ def test_the_fig9_figure_shows_the_force_and_its_error(preset_run):
 
 def test_the_fig9_figure_of_a_complete_run_starts_at_100_s(synthetic_case):
     case = synthetic_case(time=np.linspace(0.0, 250.0, 40), force_filtered=np.full((40, 3), 0.2))
-    (drawn,) = force.draw(RecordedRun(Path("x"), "fig10", {}, {}, (case,)))
+    (drawn,) = load_figures.paper_force(RecordedRun(Path("x"), "fig10", {}, {}, (case,)))
     left, right = drawn.figure.axes[0].dataLim.intervalx
 
     assert left >= 100.0
@@ -161,7 +161,7 @@ def test_the_fig9_figure_of_a_complete_run_starts_at_100_s(synthetic_case):
 
 def test_the_deflection_rate_figure_has_the_errors_of_the_summary(preset_run):
     run = read_run(preset_run("fig10", *RUNS["fig10"][:3]))
-    (drawn,) = rates.draw(run)
+    (drawn,) = load_figures.deflection_rate(run)
     for name, values in run.summary["cases"]["paper"]["deflection_rate_rms_error_mm_s"].items():
         expected = re.search(rf"{name} (\S+) / (\S+) / (\S+) mm/s", drawn.caption)
         assert expected
@@ -169,12 +169,12 @@ def test_the_deflection_rate_figure_has_the_errors_of_the_summary(preset_run):
 
 
 def test_a_report_of_less_than_a_second_has_no_deflection_rate_figure(synthetic_case):
-    assert list(rates.draw(RecordedRun(Path("x"), "fig10", {}, {}, (synthetic_case(),)))) == []
+    assert list(load_figures.deflection_rate(RecordedRun(Path("x"), "fig10", {}, {}, (synthetic_case(),)))) == []
 
 
 def test_the_step_response_figure_has_the_fit(preset_run):
     run = read_run(preset_run("step_response", *RUNS["step_response"][:3]))
-    (drawn,) = steps.draw(run)
+    (drawn,) = loop_figures.steps(run)
     step = run.summary["cases"]["k2_5_x"]["step"]
     answer = drawn.figure.axes[0].lines[0]
 
@@ -203,7 +203,7 @@ def test_a_report_of_any_other_experiment_shows_path_error_force_and_joints(shor
 def test_a_report_without_ground_truth_shows_no_true_values(synthetic_case):
     case = synthetic_case(truth_known=np.zeros(40), tip_measured=np.full((40, 3), 0.001))
     run = RecordedRun(Path("x"), "own", {}, {}, (case,))
-    texts = " ".join(f"{one.caption} {one.alt}" for one in overview.draw(run))
+    texts = " ".join(f"{one.caption} {one.alt}" for one in tip_figures.overview(run))
 
     assert not run.simulated
     assert "true" not in texts
@@ -226,7 +226,7 @@ def test_a_report_shows_the_recorded_timing_of_the_control_loop():
         "ticks": 1000, "missed": 2, "scheduler": "SCHED_FIFO", "late_counts": late, "tick_counts": work,
         "late_us": {"p50": 20, "p99": 39, "max": 41}, "tick_us": {"p50": 120, "p99": 299, "max": 420},
     }  # fmt: skip
-    (drawn,) = timing.draw(RecordedRun(Path("x"), "own", {"cases": {"run": {"timing": numbers}}}, {}, ()))
+    (drawn,) = loop_figures.timing(RecordedRun(Path("x"), "own", {"cases": {"run": {"timing": numbers}}}, {}, ()))
 
     assert "late: median 20, 99 % 39, largest 41" in drawn.caption
     assert "2 periods missed" in drawn.caption
@@ -241,7 +241,7 @@ def test_a_report_shows_the_recorded_timing_of_the_control_loop():
 
 
 def test_a_report_of_a_run_without_timing_has_no_timing_figure():
-    assert list(timing.draw(RecordedRun(Path("x"), "own", {"cases": {"one": {}}}, {}, ()))) == []
+    assert list(loop_figures.timing(RecordedRun(Path("x"), "own", {"cases": {"one": {}}}, {}, ()))) == []
 
 
 def test_a_report_of_a_run_without_rows_has_no_figures():

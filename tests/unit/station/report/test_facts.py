@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 import pytest
 
-from station.report.comparison import all_errors, paper_comparison
+from station.report.facts import all_errors, paper_comparison
 from station.report.run import RecordedRun
 
 PAPER = {"paper": {"hold": {"max_abs_error_mm": {"x": 2.0, "z": 0.8}}, "turn": {"model_error_mm": {"loaded": 1.4}}}}

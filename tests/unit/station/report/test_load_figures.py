@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from station.config.strict import PRESETS, read_toml
-from station.report import facts, load_rate, style
+from station.report import facts, load_figures, style
 from station.report.run import RecordedRun
 
 TABLE = read_toml(PRESETS / "experiments" / "load_rate.toml")
@@ -39,7 +39,7 @@ def run(cases: dict) -> RecordedRun:
 
 
 def test_load_results_have_the_rate_and_the_errors_of_each_load():
-    tried = {one.name: one for one in load_rate.load_results(run(summary(1.0)))}
+    tried = {one.name: one for one in load_figures.load_results(run(summary(1.0)))}
 
     assert tried["ramp_10s"].rate == pytest.approx(0.05)
     assert tried["ramp_0_1s"].rate == pytest.approx(5.0)
@@ -52,7 +52,7 @@ def test_load_results_have_the_rate_and_the_errors_of_each_load():
 
 
 def test_the_load_rate_figure_has_a_curve_for_every_strategy_and_the_best_possible_error():
-    (drawn,) = load_rate.draw(run(summary(1.0)))
+    (drawn,) = load_figures.load_rate(run(summary(1.0)))
     on, off, other = drawn.figure.axes
 
     assert on.get_ylabel() == "largest true error [mm]"
@@ -74,11 +74,11 @@ def test_the_load_rate_figure_of_an_aborted_run_shows_its_finished_cases():
     for name in list(cases["cases"]):
         if "step" in name or name.startswith("type_1"):
             del cases["cases"][name]
-    (drawn,) = load_rate.draw(run(cases))
+    (drawn,) = load_figures.load_rate(run(cases))
 
     assert len(drawn.figure.axes[0].lines) == 3
-    assert list(load_rate.draw(run({}))) == []
-    assert list(load_rate.draw(RecordedRun(Path("x"), "load_rate", {}, {}, ()))) == []
+    assert list(load_figures.load_rate(run({}))) == []
+    assert list(load_figures.load_rate(RecordedRun(Path("x"), "load_rate", {}, {}, ()))) == []
 
 
 def test_the_bound_table_has_reached_and_best_possible_errors_of_each_part():
