@@ -153,7 +153,7 @@ def _over_joints(validation: Validation, moving: Sequence[int]) -> ReportFigure:
         for direction, label, number in MOTION_DIRECTIONS if validation.poses.timed else ((None, "pose", 2),):
             these = np.ones(len(joints), bool)
             if direction is not None:
-                these = np.array([measurement.came[k] == direction for measurement in validation.poses.measurements])
+                these = np.array([measurement.came for measurement in validation.poses.measurements])[:, k] == direction
             if these.any():
                 line = style.series(number, label)
                 axes.plot(
