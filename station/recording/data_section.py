@@ -15,6 +15,7 @@ import io
 import os
 import re
 import struct
+import sys
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
@@ -58,16 +59,16 @@ def definition(channels: Sequence[Channel]) -> str:
     """Return the ROS 1 message definition of a row with these channels."""
     main: list[str] = []
     parts: list[str] = []
-    fields, types = _Names(), _Names()
+    fields, types = set[str](), set[str]()
     for group, members in _grouped(channels):
         if members[0][0] == "":
-            main.append(f"float64 {fields.of(group)}{_comment(members[0][1])}")
+            main.append(f"float64 {_identifier(group, fields)}{_comment(members[0][1])}")
             continue
-        kind = types.of("".join(word.capitalize() for word in _identifier(group).split("_")))
-        main.append(f"{kind} {fields.of(group)}")
-        inner = _Names()
+        kind = unique_name("".join(word.capitalize() for word in _identifier(group, set()).split("_")), types)
+        main.append(f"{kind} {_identifier(group, fields)}")
+        inner = set[str]()
         parts.append(f"{'=' * 80}\nMSG: ctr_station/{kind}")
-        parts += [f"float64 {inner.of(name)}{_comment(channel)}" for name, channel in members]
+        parts += [f"float64 {_identifier(name, inner)}{_comment(channel)}" for name, channel in members]
     return "\n".join((*main, *parts)) + "\n"
 
 
@@ -88,11 +89,6 @@ def message_records(rows: Array, times: NDArray[np.uint64], topic: int, first: i
     records["log_time"] = records["publish_time"] = times
     records["row"] = rows
     return Rows(times, records.tobytes(), np.arange(count, dtype=np.uint64) * np.uint64(records.itemsize))
-
-
-def row_of(payload: bytes) -> Array:
-    """Return the telemetry row in the payload of a message."""
-    return np.frombuffer(payload, "<f8")
 
 
 def _record(width: int) -> np.dtype[np.void]:
@@ -128,25 +124,23 @@ def _comment(channel: Channel) -> str:
     return f"  # [{channel.unit}]" if channel.unit else ""
 
 
-def _identifier(name: str) -> str:
-    """Return the name as a valid name of a ROS field."""
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return plain if plain[:1].isalpha() else f"c_{plain}"
+def _identifier(name: str, taken: set[str]) -> str:
+    """Return the name as a valid name of a ROS field that is not in `taken`, and add it there."""
+    return unique_name(re.sub(r"\W", "_", name, flags=re.ASCII), taken)
 
 
-class _Names:
-    """Makes ROS field names unique after their conversion to letters, digits and underscores."""
+def unique_name(plain: str, taken: set[str], longest: int = sys.maxsize) -> str:
+    """Return a name that starts with a letter, has at most `longest` characters and is not in `taken`; add it there.
 
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
-
-    def of(self, name: str) -> str:
-        plain = base = _identifier(name)
-        number = 2
-        while plain in self._taken:
-            plain, number = f"{base}_{number}", number + 1
-        self._taken.add(plain)
-        return plain
+    `plain` has only letters, digits and underscores.
+    """
+    name = base = (plain if plain[:1].isalpha() else f"c_{plain}")[:longest]
+    number = 2
+    while name in taken:
+        ending = f"_{number}"
+        name, number = base[: longest - len(ending)] + ending, number + 1
+    taken.add(name)
+    return name
 
 
 class Topic(NamedTuple):

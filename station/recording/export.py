@@ -13,6 +13,7 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
+from station.recording.data_section import unique_name
 from station.recording.read import CaseReader, open_case
 from station.recording.run_folder import RECORDING_SUFFIX
 from station.recording.run_outcome import RecordingError
@@ -81,17 +82,9 @@ def export_case(recording: Path, kind: str, target: Path, progress: Callable[[fl
 def matlab_names(channels: Sequence[Channel]) -> list[str]:
     """Return a valid and unique MATLAB variable name for each channel: `force.x [N]` becomes `force_x_N`."""
     taken: set[str] = set()
-    names: list[str] = []
-    for channel in channels:
-        plain = re.sub(r"\W+", "_", f"{channel.name}_{channel.unit.replace('/', '_per_')}", flags=re.ASCII).strip("_")
-        plain = base = (plain if plain[:1].isalpha() else f"c_{plain}")[:MAX_MATLAB_NAME]
-        number = 2
-        while plain in taken:
-            ending = f"_{number}"
-            plain, number = base[: MAX_MATLAB_NAME - len(ending)] + ending, number + 1
-        taken.add(plain)
-        names.append(plain)
-    return names
+    names = (f"{channel.name}_{channel.unit.replace('/', '_per_')}" for channel in channels)
+    plain = (re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") for name in names)
+    return [unique_name(name, taken, MAX_MATLAB_NAME) for name in plain]
 
 
 def _watched(case: CaseReader, progress: Callable[[float], None]) -> Iterable[Array]:

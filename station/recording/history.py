@@ -200,28 +200,25 @@ def resolve_run(name: str, runs: Path) -> Path:
 
 def _run_entry(folder: Path) -> RunDetails | None:
     """Return the entry of the run in a folder; None if the folder was removed meanwhile or cannot be read."""
+    summary, notes = _json(folder / SUMMARY_FILE), _json(folder / NOTES_FILE).get("notes", "")
+    started = summary.get("started")
     try:
-        return _run_in(folder)
+        if not isinstance(started, int | float) or abs(started) >= MAX_START_TIME:
+            started = folder.stat().st_mtime
+        cases = tuple(path.stem for path in _recordings(folder))
+        size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
     except OSError:
         return None
-
-
-def _run_in(folder: Path) -> RunDetails:
-    summary = _json(folder / SUMMARY_FILE)
-    recordings = _recordings(folder)
-    start = summary.get("started")
     return RunDetails(
         id=folder.name,
         experiment=str(summary.get("experiment", "")),
         title=str(summary.get("title", "")),
         label=str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
         cause=str(summary.get("cause", "")),
-        started=float(start)
-        if isinstance(start, int | float) and abs(start) < MAX_START_TIME
-        else folder.stat().st_mtime,
-        cases=tuple(path.stem for path in recordings),
-        size=sum(path.stat().st_size for path in folder.iterdir() if path.is_file()),
-        notes=str(_json(folder / NOTES_FILE).get("notes", "")),
+        started=float(started),
+        cases=cases,
+        size=size,
+        notes=str(notes),
         outcomes=case_outcomes(summary),
         summary=summary,
     )

@@ -2,7 +2,7 @@
 
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -39,6 +39,7 @@ class CaseRecording(NamedTuple):
     metadata: Mapping[str, Any]  #: metadata of the writer: configuration, versions, seed, start
     label: RunOutcome
     cause: str  #: reason why the run is not complete
+    stride: int = 1  #: n if `rows` has only every n-th tick
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -129,25 +130,29 @@ def _undamaged(path: Path) -> Iterator[None]:
         raise RecordingError(f"{path}: not a recording of this program, or damaged: {error!r}") from None
 
 
-def read_case(path: Path, max_rows: int | None = None) -> CaseRecording:
+def read_case(path: Path, max_rows: int | None = None, groups: Container[str] | None = None) -> CaseRecording:
     """Return a whole recording in memory.
 
     Args:
         path: file of the recording.
         max_rows: largest number of rows; of a longer recording only every n-th row is returned.
+        groups: groups of channels to return; None: all channels.
 
     Raises:
         RecordingError: the file does not exist, is damaged, or was never finished.
     """
     with open_case(path) as case:
         stride = 1 if max_rows is None else max(1, -(-case.ticks // max_rows))
-        rows = np.empty((-(-case.ticks // stride), len(case.channels)))
+        names = [channel.name.rsplit(".", 1)[0] for channel in case.channels]
+        kept = [at for at, name in enumerate(names) if groups is None or name in groups]
+        channels = tuple(case.channels[at] for at in kept)
+        rows = np.empty((-(-case.ticks // stride), len(kept)))
         passed, filled = 0, 0
         for block in case.blocks():
             some = block[-passed % stride :: stride]
-            rows[filled : filled + len(some)] = some
+            rows[filled : filled + len(some)] = some if groups is None else some[:, kept]
             passed, filled = passed + len(block), filled + len(some)
-        return CaseRecording(case.channels, rows, case.events(), case.metadata, case.label, case.cause)
+        return CaseRecording(channels, rows, case.events(), case.metadata, case.label, case.cause, stride)
 
 
 def columns(channels: tuple[Channel, ...], group: str) -> list[int]:

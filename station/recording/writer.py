@@ -204,10 +204,6 @@ class CaseRecorder:
         if self._filled == BLOCK_ROWS or time.monotonic() >= self._due:
             self._flush()
 
-    def event(self, event: RecordedEvent) -> None:
-        """Record an event of the run."""
-        self._writer.event(event)
-
     def close(self, label: RunOutcome, cause: str = "") -> None:
         """Write the remaining rows and finish the recording, unless a full disk has already ended it.
 

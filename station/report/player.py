@@ -8,6 +8,7 @@ between frames.
 import base64
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from html import escape
 from pathlib import Path
@@ -73,11 +74,7 @@ def _page(run: RecordedRun, cases: list[dict[str, Any]]) -> str:
         "PLAYER": (STATIC / "player.js").read_text(encoding="utf-8"),
     }
     page = (STATIC / "player.html").read_text(encoding="utf-8")
-    before, *pieces = page.split("{{")
-    for piece in pieces:
-        name, after = piece.split("}}", 1)
-        before += parts[name] + after
-    return before
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page)
 
 
 def script_data(value: Any) -> str:

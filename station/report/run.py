@@ -14,7 +14,7 @@ from station.config.strict import merged, read_toml
 from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.experiments.experiment import variants
-from station.recording.read import open_case
+from station.recording.read import read_case
 from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, RECORDING_SUFFIX, SUMMARY_FILE
 from station.recording.run_outcome import desired
 
@@ -177,21 +177,13 @@ def read_run(folder: Path) -> RecordedRun:
 
 def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any]) -> RecordedCase:
     """Return a case with the channels that reports show; of a very long recording only every n-th row."""
-    name = path.stem
-    with open_case(path) as recording:
-        columns = [at for at, channel in enumerate(recording.channels) if channel.name.rsplit(".", 1)[0] in KEPT_GROUPS]
-        stride = -(-recording.ticks // MAX_ROWS)
-        rows, before = [np.empty((0, len(columns)))], 0
-        for block in recording.blocks():
-            rows.append(block[-before % stride :: stride, columns] if stride > 1 else block[:, columns])
-            before += len(block)
-        channels = [recording.channels[at] for at in columns]
-        file = merged(table, variants(table).get(name, {}))
-        numbers = summary.get("cases", {}).get(name, {})
-        whole = _motion_only(np.concatenate(rows), channels, float(numbers.get("motion_start", 0.0)))
-        # A live run may have no experiment file; then its settings are in the metadata of the recording.
-        file = file or {"settling": numbers.get("settling", 0.0), **recording.metadata.get("settings", {})}
-        return RecordedCase(name, channels, whole, file, numbers, recording.metadata, max(stride, 1))
+    name, found = path.stem, read_case(path, MAX_ROWS, KEPT_GROUPS)
+    file = merged(table, variants(table).get(name, {}))
+    numbers = summary.get("cases", {}).get(name, {})
+    rows = _motion_only(found.rows, found.channels, float(numbers.get("motion_start", 0.0)))
+    # A live run may have no experiment file; then its settings are in the metadata of the recording.
+    file = file or {"settling": numbers.get("settling", 0.0), **found.metadata.get("settings", {})}
+    return RecordedCase(name, found.channels, rows, file, numbers, found.metadata, found.stride)
 
 
 def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> Array:

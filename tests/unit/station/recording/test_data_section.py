@@ -5,7 +5,7 @@ from mcap.records import Schema
 from mcap_ros1.decoder import DecoderFactory
 
 from station.control.telemetry import Channel
-from station.recording.data_section import MESSAGE_HEADER_BYTES, definition, message_records, row_of
+from station.recording.data_section import MESSAGE_HEADER_BYTES, definition, message_records
 from station.recording.data_section import TELEMETRY_SCHEMA as SCHEMA
 
 
@@ -55,4 +55,4 @@ def test_message_records_have_the_layout_of_mcap():
         assert int.from_bytes(record[9:11], "little") == 3
         assert int.from_bytes(record[11:15], "little") == 40 + number
         assert int.from_bytes(record[15:23], "little") == int.from_bytes(record[23:31], "little") == (7, 9)[number]
-        assert row_of(record[31:]).tolist() == rows[number].tolist()
+        assert np.frombuffer(record[31:], "<f8").tolist() == rows[number].tolist()

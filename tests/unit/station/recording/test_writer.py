@@ -168,7 +168,7 @@ def test_the_case_recorder_records_every_row_once_if_the_caller_reuses_its_array
     reused = np.empty(len(channels))
     for number, row in enumerate(rows):
         if number == BLOCK_ROWS:
-            recorder.event(RecordedEvent(row[0], "state", "RUNNING"))
+            writer.event(RecordedEvent(row[0], "state", "RUNNING"))
         reused[:] = row
         recorder.write(reused)
     recorder.close(RunOutcome.STOPPED, "enough")
