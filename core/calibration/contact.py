@@ -20,7 +20,7 @@ import numpy as np
 
 from core.calibration.measurements import Noise
 from core.calibration.rigid_transform import cross_matrix
-from core.control.force_fusion import FusedLoad
+from core.control.sensors import FusedLoad
 from core.errors import CtrError
 from core.model.solution import Solution, pure_force
 from core.model.statics import Statics

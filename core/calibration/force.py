@@ -23,8 +23,7 @@ from core.calibration.fit import Fit, Parameter, UnobservableCombination, fit
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.rigid_transform import rotation_from_vector
 from core.compiled import compiled
-from core.control.force_fusion import FusedLoad, fuse_at, fused_at
-from core.control.sensors import Sensors, exerted
+from core.control.sensors import FusedLoad, Sensors, exerted, fuse_at, fused_at
 from core.robot.robot import Array, Layout, Robot, tube_poses
 
 #: Priors (one standard deviation) and tolerances (largest error that does not matter) of each parameter.

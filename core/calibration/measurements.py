@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.force_fusion import fuse_at
+from core.control.sensors import fuse_at
 from core.robot.robot import Array, Robot
 
 

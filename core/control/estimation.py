@@ -1,29 +1,94 @@
-"""Estimates of one tick from the model with load and the model without load: deflection, load, joints and tip.
+"""First half of a tick: turn a sample of the devices into estimates of deflection, load, joints and tip.
 
-q are the joint positions, w is the load, J the Jacobian and C the compliance.
+`perceive` sums the base wrenches, solves the model with and without load, and computes the estimates in one compiled
+call. q are the joint positions, w is the load, J the Jacobian and C the compliance.
 
 | estimate | how it is computed |
 |---|---|
 | deflection Delta_total, its numerical and its filtered rate | F(q, w) - F(q, 0), eq. (25) |
 | tip velocity by the load, exact rate of Delta_total | C w', C w' + (J(q, w) - J(q, 0)) q'; w' of the filtered force |
 | the deflection's parts Delta_1 and Delta_2 | eq. (22), integrated with the trapezoidal rule |
-| the joints' velocity, and their travel until a command sent now takes effect | `actuation` |
+| the joints' velocity, and their travel until a command sent now takes effect | `Actuation` |
 | the tip, its velocity, and its predicted position | the model under the smoothed load, corrected by the `observer` |
+
+The stages' command path is a sample-and-hold with a transport delay. The serial line to the stages carries one command
+per axis and command interval. A command waits half an interval on average, arrives after the transport delay, and is
+then applied for one interval. Before a command takes effect, the velocities sent earlier (after limits and
+quantisation) move the joints. The controller therefore plans for the joint positions at which its command takes effect.
 """
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
-from core.control.actuation import Actuation, advance
-from core.control.deflection import RateFilter, filtered, gains
-from core.control.observer import Observer, ObserverState, observe
-from core.control.tip_force import BANDWIDTH, QUALITY, LoadEstimator
-from core.model.solution import Solution, fields
-from core.robot.robot import Array
+from core.compiled import compiled, copy
+from core.control.observer import Observer, ObserverState, RateFilter, filtered, gains, observe
+from core.control.sensors import FusedLoad, fused_at
+from core.control.tip_force import BANDWIDTH, FORCE, QUALITY, LoadEstimator, estimate_force
+from core.errors import DescriptionError
+from core.model.newton import CONTROL_STEP_RAD, newton
+from core.model.solution import Solution, fields, pure_force
+from core.model.statics import Statics
+from core.robot.robot import Array, unpack
+
+
+class ActuationState(NamedTuple):
+    """State of the command path: the velocities already sent to the stages, and the joint motion that they cause."""
+
+    sent: Array  #: (ticks, n) joint velocities sent to the stages, newest first [rad/s or m/s]
+    ahead: Array  #: (n,) distance that the joints still move until a command sent now takes effect [rad or m]
+
+    @property
+    def velocity(self) -> Array:
+        """(n,) present joint velocity [rad/s or m/s]."""
+        return self.sent[-1]
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """Command interval and delay of the line to the stages."""
+
+    period: float  #: time between two ticks of the controller [s]
+    command_interval: float = 0.025  #: time between two commands to the same axis [s]
+    transport_delay: float = 0.012  #: time from sending a command until the motor receives it [s]
+
+    def __post_init__(self) -> None:
+        for name in ("command_interval", "transport_delay"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+                raise DescriptionError(f"actuation: {name} {value:g} s is outside 0 ... 1 s")
+
+    @property
+    def lead_time(self) -> float:
+        """Average time from a command to its effect on the joint [s]."""
+        return self.transport_delay + 0.5 * self.command_interval
+
+    def start(self, joints: int) -> ActuationState:
+        """Return the state of the command path for joints at rest."""
+        ticks = round(self.transport_delay / self.period) + 1
+        return ActuationState(np.zeros((ticks, joints)), np.zeros(joints))
+
+    def update(self, last: ActuationState, sent: Array) -> ActuationState:
+        """Return the state one tick later; `sent` (n,) are the joint velocities sent last [rad/s or m/s]."""
+        new = ActuationState(np.empty_like(last.sent), np.empty_like(last.ahead))
+        advance(last.sent, sent, self.period, 0.5 * self.command_interval, *new)
+        return new
+
+
+@compiled
+def advance(history: Array, sent: Array, period: float, wait: float, moved: Array, ahead: Array) -> None:
+    """Compute `Actuation.update` and write the new state to `moved` and `ahead`."""
+    ticks, n = history.shape
+    for j in range(n):
+        moved[0, j] = sent[j]
+        ahead[j] = wait * sent[j]
+        for i in range(1, ticks):
+            moved[i, j] = history[i - 1, j]
+            ahead[j] += period * moved[i - 1, j]
+
 
 #: Indices of the scalars at the start of an estimate's array: number of joints; number of ticks with stored velocities;
 #: number of stored tips; index of the newest tip; whether the observer used a tracker frame in this tick; number of
@@ -236,3 +301,86 @@ def estimate(
     for i in range(3):
         new.velocity_observed[i] += new.drift[i]
         new.tip_ahead[i] += new.bias[i] + lead_time * new.drift[i]
+
+
+_NO_LOAD = np.zeros(6)
+
+
+class Perception(NamedTuple):
+    """Load and estimate computed from one sample of the devices."""
+
+    load: FusedLoad
+    estimate: Estimate
+
+
+def perceive(
+    statics: Statics, estimator: Estimator, last: Estimate,
+    joints: Array, wrenches: Array, sent: Array, tip: Array | None, age: float,
+) -> Perception:  # fmt: skip
+    """Return load and estimate of one tick from the devices' readings.
+
+    Args:
+        statics: model of the robot.
+        estimator: filters of the controller.
+        last: estimate of the previous tick.
+        joints: measured joint positions (n,) [rad or m].
+        wrenches: tared wrenches of the base sensors (q, 6), each in the axes of its sensor [N, N m].
+        sent: joint velocities (n,) sent to the stages last [rad/s or m/s].
+        tip, age: tip (3,) in a new tracker frame [m], and the frame's age since its measurement [s]; tip None: no new
+            frame.
+
+    Raises:
+        PoseError, NoSolution: the model has no shape at the measured pose and load.
+        NotFinite: the measured load is not finite.
+
+    """
+    frame, age = (sent, -1.0) if tip is None else (tip, age)
+    before = (last.loaded.numbers, last.unloaded.numbers, last.numbers)
+    loaded, unloaded, numbers, total = *map(np.empty, map(len, before)), np.empty(6)
+    load, now = FusedLoad(total[:3], total[3:]), Estimate(Solution(loaded), Solution(unloaded), numbers)
+    if not _perceive(
+        *statics.compiled_arguments, estimator.settings, estimator.load.settings,
+        joints, wrenches, sent, frame, age, *before, 1,
+        total, loaded, unloaded, numbers,
+    ):  # fmt: skip
+        # The warm start did not converge: `Statics.solve` follows the branch in smaller steps, or starts from rest.
+        force = now.known.load[FORCE]
+        now.loaded = statics.solve(joints, pure_force(force), last.loaded)
+        now.unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
+        estimate(
+            estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
+            force, sent, frame, age, numbers,
+        )  # fmt: skip
+    return Perception(load, now)
+
+
+@compiled
+def _perceive(
+    packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
+    load_settings: Array, joints: Array, wrenches: Array, sent: Array, frame: Array, age: float,
+    near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
+    load: Array, loaded: Array, unloaded: Array, now: Array,
+) -> bool:  # fmt: skip
+    """Compute `perceive` into the last four arguments; return False if the model was not solved.
+
+    After False only the load is valid: the sum `load` and the force estimate in `now`. The argument `careful` is always
+    1. As a constant inside this function, `careful` would make the compiler build a second Newton solver.
+    """
+    layout = unpack(packed)
+    copy(fused_at(layout, joints, wrenches), load)
+    copy(last, now)
+    force = estimate_fields(now).load
+    estimate_force(
+        load_settings, settings[0], layout, joints, wrenches, fields(near_loaded).tip, estimate_fields(last).load, force
+    )
+    wrench, nothing, tip, close = np.zeros(6), np.zeros(6), math.inf, CONTROL_STEP_RAD
+    copy(force[FORCE], wrench)
+    if not (
+        newton(packed, order, sublink, joints, wrench, near_loaded, tip, careful, close, tubes, columns, loaded)
+        and newton(
+            packed, order, sublink, joints, nothing, near_unloaded, tip, careful, close, tubes, columns, unloaded
+        )
+    ):
+        return False
+    estimate(settings, loaded, unloaded, near_loaded, near_unloaded, last, force[FORCE], sent, frame, age, now)
+    return True

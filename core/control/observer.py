@@ -1,7 +1,14 @@
-"""Tip observer: a filter that estimates the tip's position between tracker frames and during drop-outs of the tracker.
+"""Filters of a tick: the deflection's rate, the observed tip, and the tip velocity from tracker frames.
 
-The model F(q, w) gives the tip X at 500 Hz for joints q and load w, with a model error. The tracker gives the tip at
-40 Hz, delayed and noisy. The difference, the bias b of the model, changes slowly with pose and load:
+**Deflection's rate** d(Delta_total)/dt, eqs. (22) and (25). The deflection is Delta_total = F(q, w) - F(q, 0): the
+model's tip for joints q and load w, minus the tip without load. A Kalman filter with a constant-velocity model for each
+axis differentiates the deflection. The filter's gain settles within the first second and does not depend on
+measurements. The gain is therefore computed once with filterpy; a tick then costs two multiplications per axis. The
+same filter on the measured force gives w' for the exact rate, C(q, w) w' + (J(q, w) - J(q, 0)) q'.
+
+**Tip observer.** A filter estimates the tip's position between tracker frames and during drop-outs of the tracker. The
+model F(q, w) gives the tip X at 500 Hz for joints q and load w, with a model error. The tracker gives the tip at 40 Hz,
+delayed and noisy. The difference, the bias b of the model, changes slowly with pose and load:
 
     X = F(q, w) + b,    b'' = white noise,
 
@@ -11,18 +18,120 @@ through the measurement matrix H = [1, -age]. Without frames the covariance grow
 from this covariance. A frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier.
 After `REACQUIRE_FRAMES` rejected frames in a row that agree with each other, the observer assumes that a cause outside
 the model has moved the tip, and initialises the bias again.
+
+**Tip velocity from tracker frames** that the joints do not cause, X'_meas - J(q, w) q' of eqs. (28) and (29). This
+velocity is the difference quotient of two tracker frames, minus the tip motion that the joints cause between them. The
+velocity is not filtered and therefore contains the noise of two frames 25 ms apart, as the paper warns.
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
 from core.robot.robot import Array
+
+#: Text for a deflection that is not finite.
+_CAUSE = "; the force or the joints are not"
+
+
+class FilteredRate(NamedTuple):
+    """A filtered deflection and its rate of change; the same filter also serves the force, in N and N/s."""
+
+    value: Array  #: (3,) filtered deflection [m]
+    rate: Array  #: (3,) rate of change of the filtered deflection [m/s]
+
+
+@dataclass(frozen=True)
+class RateFilter:
+    """Steady-state Kalman filter for a quantity and its rate of change.
+
+    A filter with larger `bandwidth` follows a quicker load and passes more of the force sensors' noise.
+    """
+
+    period: float  #: time between two measurements [s]
+    bandwidth: float = 1.0  #: bandwidth of the filter [Hz]; it sets the ratio of process to measurement noise
+    gain: tuple[float, float] = field(init=False)  #: Kalman gains for value [1] and rate [1/s]
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise DescriptionError(f"filter period {self.period:g} s must be finite and greater than 0")
+        nyquist = 0.5 / self.period
+        if not 0.0 < self.bandwidth < nyquist:
+            raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
+        object.__setattr__(self, "gain", _steady_gain(self.period, self.bandwidth))
+
+    def start(self, measured: Array) -> FilteredRate:
+        """Return the filter's state for a constant quantity with the measured value (3,)."""
+        return FilteredRate(_finite(measured, "deflection", _CAUSE).copy(), np.zeros(3))
+
+    def update(self, last: FilteredRate, measured: Array | None) -> FilteredRate:
+        """Return the filter's state one period later; without a measurement (`None`) the state is extrapolated.
+
+        Raises:
+            NotFinite: the measurement is not finite; a NaN would stay in the filter forever.
+
+        """
+        if measured is None:
+            return FilteredRate(last.value + self.period * last.rate, last.rate)
+        new = FilteredRate(np.empty(3), np.empty(3))
+        filtered(*last, _finite(measured, "deflection", _CAUSE), *new, self.period, *self.gain)
+        return new
+
+
+@compiled
+def filtered(
+    value: Array, rate: Array, measured: Array, new_value: Array, new_rate: Array,
+    period: float, k_value: float, k_rate: float,
+) -> None:  # fmt: skip
+    """Compute `RateFilter.update` in compiled code; write the result to `new_value` and `new_rate` (3,)."""
+    for k in range(3):
+        ahead = value[k] + period * rate[k]
+        surprise = measured[k] - ahead
+        new_value[k] = ahead + k_value * surprise
+        new_rate[k] = rate[k] + k_rate * surprise
+
+
+@compiled
+def gains(period: float, bandwidth: float) -> tuple[float, float]:
+    """Return the gains for value [1] and rate [1/s] of a filter with this bandwidth [Hz], in closed form.
+
+    The poles are those of the steady Kalman filter in continuous time, s = w (-1 +- i) / sqrt 2 with w = 2 pi
+    bandwidth.
+    """
+    angle = math.sqrt(2.0) * math.pi * bandwidth * period
+    radius = math.exp(-angle)
+    value = 1.0 - radius * radius
+    return value, (2.0 - value - 2.0 * radius * math.cos(angle)) / period
+
+
+@cache
+def _steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
+    """Return the Kalman gains for value [1] and rate [1/s] by running filterpy's recursion until it converges."""
+    from filterpy.common import Q_continuous_white_noise  # pyright: ignore
+    from filterpy.kalman import KalmanFilter  # pyright: ignore
+
+    kalman = cast(Any, KalmanFilter)(dim_x=2, dim_z=1)
+    kalman.F = np.array([[1.0, period], [0.0, 1.0]])
+    kalman.H = np.array([[1.0, 0.0]])
+    # White acceleration of density w^4 R T gives a filter of bandwidth w, with noise variance R = 1 and period T.
+    density = (2.0 * math.pi * bandwidth) ** 4 * period
+    kalman.Q = cast(Any, Q_continuous_white_noise)(dim=2, dt=period, spectral_density=density)
+    kalman.P = np.diag([1.0, density / period])
+    gain = np.zeros(2)
+    for _ in range(100_000):
+        kalman.predict()
+        kalman.update(np.zeros(1))
+        settled = np.abs(kalman.K[:, 0] - gain).max() <= 1e-13 * np.abs(gain).max()
+        gain = kalman.K[:, 0].copy()
+        if settled:
+            break
+    return float(gain[0]), float(gain[1])
+
 
 #: Initial standard deviation of the drift, the rate of the model's bias [m/s].
 FIRST_DRIFT_STD_M_S = 1e-3
@@ -91,7 +200,9 @@ class Observer:
         """
         tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
         covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT_STD_M_S**2))
-        return ObserverState(_finite(tip) - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0)
+        return ObserverState(
+            _finite(tip, "measured tip") - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0
+        )
 
     def update(self, last: ObserverState, model_tip: Array, tip: Array | None, age: float = 0.0) -> ObserverState:
         """Return the observer's state one tick later.
@@ -107,7 +218,7 @@ class Observer:
 
         """
         if tip is not None:
-            _finite(tip)
+            _finite(tip, "measured tip")
         bias, drift, covariance, tips, refused = (part.copy() for part in (*last[:4], last.refused))
         newest, used, in_a_row = observe(
             bias, drift, covariance, tips, refused, last.newest, last.in_a_row, model_tip,
@@ -173,7 +284,39 @@ def observe(
     return newest, used, in_a_row
 
 
-def _finite(tip: Array) -> Array:
-    if not np.isfinite(tip).all():
-        raise NotFinite(f"measured tip {tip.tolist()} m is not finite")
-    return tip
+def _finite(measured: Array, what: str, cause: str = "") -> Array:
+    if not np.isfinite(measured).all():
+        raise NotFinite(f"{what} {measured.tolist()} m is not finite{cause}")
+    return measured
+
+
+class TrackerVelocity(NamedTuple):
+    """Tip velocity from the last two tracker frames, and the state that the next frame needs."""
+
+    velocity: Array  #: (3,) tip velocity that the joints do not cause, X'_meas - J q' [m/s]
+    travel: Array  #: (3,) tip displacement that the joints caused since the newest frame [m]
+    since: float  #: time since the newest frame was measured [s]
+
+
+#: State before two tracker frames have arrived: zero velocity.
+NO_FRAMES = TrackerVelocity(np.zeros(3), np.zeros(3), 0.0)
+
+
+def differentiate(
+    last: TrackerVelocity, by_joints: Array, before: Array, frame: Array | None, age: float, period: float
+) -> TrackerVelocity:
+    """Return the velocity from tracker frames one tick later.
+
+    Args:
+        last: state of the last tick.
+        by_joints: tip velocity (3,) that the joints cause, J(q, w) q' [m/s].
+        before: tip (3,) in the newest frame so far [m].
+        frame: tip (3,) in a new frame [m]; None: no new frame.
+        age: time since the new frame was measured [s].
+        period: time between two ticks [s].
+    """
+    since, travel = last.since + period, last.travel + period * by_joints
+    span = since - age
+    if frame is None or span <= 0.0:  # no frame arrived, or the frame is not newer than the last one
+        return TrackerVelocity(last.velocity, travel, since)
+    return TrackerVelocity((frame - before - travel) / span, np.zeros(3), age)

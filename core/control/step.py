@@ -16,12 +16,11 @@ import numpy as np
 
 from core.control.command import OBSERVER_DRIFT, CommandResult, FeedbackOptions, command
 from core.control.controllers import Strategy
-from core.control.corrections import Corrections
-from core.control.estimation import FRAME_USED, Estimate, Estimator
-from core.control.force_fusion import FusedLoad, fuse_at
+from core.control.estimation import FRAME_USED, Estimate, Estimator, perceive
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
-from core.control.perception import perceive
+from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
+from core.control.sensors import Corrections, FusedLoad, fuse_at
 from core.control.tip_direction import (
     NO_DIRECTION_TASK,
     POSITION_ONLY,
@@ -32,7 +31,6 @@ from core.control.tip_direction import (
     update_direction,
 )
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
-from core.control.tracker_velocity import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import NO_BOUNDS
 from core.errors import DescriptionError, NotFinite

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.model.fourth_order import fourth_order
-from core.model.second_order import second_order
+from core.model.integrators import fourth_order, second_order
 from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
 
 #: Rows of a derivative column before those of the tubes: rotation (3) and position (3), world frame.

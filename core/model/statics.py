@@ -18,8 +18,7 @@ import numpy as np
 from core.errors import DescriptionError, NoSolution, NotFinite
 from core.model.newton import COLD_STEP_RAD, RESIDUAL_TOLERANCE, WARM_STEP_RAD, newton
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, INTEGRATORS, Scheme, propagate, repeat
-from core.model.relaxation import base_unknowns, cut, relax
-from core.model.second_variation import negative_directions
+from core.model.relaxation import base_unknowns, cut, negative_directions, relax
 from core.model.solution import Solution, at_rest
 from core.robot.robot import Array, Robot, positive
 

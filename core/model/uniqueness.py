@@ -20,7 +20,7 @@ the second variation is at least
 This lower bound does not depend on the shape. If the bound is positive, every equilibrium is a strict minimum of the
 energy. Between two minima there would be a saddle, which is an equilibrium but not a minimum. So there is only one
 equilibrium. Without `SAFETY_FACTOR`, the bound reproduces two known limits: for two tubes without load the
-snap condition of `robot.stability`, and for a single straight tube Euler's buckling load.
+snap condition of `robot.strength`, and for a single straight tube Euler's buckling load.
 """
 
 import numpy as np

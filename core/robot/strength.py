@@ -1,7 +1,18 @@
-"""The largest tip force that the tubes and their base sensors can bear.
+"""Strength of a design: whether its tubes snap, which tip force they bear, and how much they weigh.
 
-A force F across a robot that reaches L beyond the plate bends the robot with a moment of at most F L. The largest force
-is the smallest of three bounds:
+**Snap number.** Consider two tubes with curvatures u1 and u2 and equal curved lengths L. Let l be the length of a
+single straight tube that twists as much as the straight parts of both tubes together. With k^2 = (1 + nu) u1 u2, this
+pair rotates without a snap when (Dupont et al. 2010; Ha, Park, Dupont 2016)
+
+    k L < pi / 2   and   S = l k tan(k L) < 1.
+
+S is the snap number. For any tubes the snap number is 1 - D / D0. D is the determinant of the end conditions by the
+base torsion, at the worst alignment of the tubes' curves (each parallel or opposite, without torsion). D0 is the same
+determinant without the twist of the tubes before their curves overlap. For the pair above the result is exactly S. The
+margin under load is `Solution.stability`, the same determinant at the loaded shape.
+
+**Largest tip force.** A force F across a robot that reaches L beyond the plate bends the robot with a moment of at most
+F L. The largest force is the smallest of three bounds:
 
 * a base sensor's force:  F = 0.6 force range
 * a base sensor's moment: F = 0.6 moment range  sum(EI) / (max(EI) L): tubes share the moment in proportion to EI
@@ -11,11 +22,126 @@ The rest of each sensor range is reserved for the forces and moments between the
 In the paper's robot the moments between the tubes take 90 N mm of the range of 250 N mm.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
+from core.errors import DescriptionError
 from core.robot.limits import ForceBound, JointLimit
-from core.robot.robot import Robot
+from core.robot.robot import Array, Robot
+
+#: Number of grid positions along the travel of each translation at which a design is evaluated.
+GRID_POSES = 9
+
+
+def snap_number(robot: Robot, joints: Array) -> float:
+    """Return the snap number at the translations of `joints` (n,): the largest S over parallel and opposite tubes.
+
+    The value is 0 if the tubes cannot store torsion, and below 1 if they do not snap. It is infinite if they snap even
+    without straight lengths.
+
+    Raises:
+        PoseError: the pose is invalid.
+        DescriptionError: a tube is not curved in one plane.
+
+    """
+    robot.check_pose(joints)
+    beta = robot.tube_poses(joints)[1]
+    pieces = _pieces(robot, beta)
+    worst = 0.0
+    for signs in itertools.product((1.0, -1.0), repeat=len(robot.tubes) - 1):
+        flexible, stiff = (_determinant(robot, beta, pieces, np.array((1.0, *signs)), bare) for bare in (False, True))
+        worst = max(worst, 1.0 - flexible / stiff if stiff > 0.0 else math.inf)
+    return worst
+
+
+def design_snap_number(robot: Robot, lower: Array, upper: Array) -> float:
+    """Return the largest snap number within the travel (n,) of the joints, on a grid of the translations.
+
+    Raises:
+        DescriptionError: a tube is not curved in one plane, or no pose in the travel is valid.
+
+    """
+    travels: list[Array] = [
+        np.linspace(low, high, GRID_POSES) if joint.motion == "translation" else np.zeros(1)
+        for joint, low, high in zip(robot.joints, lower, upper, strict=True)
+    ]
+    numbers: list[float] = []
+    for pose in itertools.product(*travels):
+        joints = np.array(pose, dtype=np.float64)
+        if robot.is_valid_pose(joints):
+            numbers.append(snap_number(robot, joints))
+    if not numbers:
+        raise DescriptionError(f"robot '{robot.name}': no pose within the travel of its joints is valid")
+    return max(numbers)
+
+
+def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
+    """Return start, end and signed curvatures of the tubes (q,) for each piece beyond the plate; NaN: tube absent."""
+    borders = {0.0}
+    signed: list[list[tuple[float, float]]] = []
+    for tube, start in zip(robot.tubes, beta, strict=True):
+        axis, end = None, float(start)
+        ends: list[tuple[float, float]] = []
+        for section in tube.sections:
+            end += section.length
+            x, y = section.curvature
+            size = math.hypot(x, y)
+            if size > 0.0 and axis is None:
+                axis = (x / size, y / size)
+            along = 0.0 if axis is None else x * axis[0] + y * axis[1]
+            if axis is not None and abs(x * axis[1] - y * axis[0]) > 1e-9 * max(1.0, size):
+                raise DescriptionError(f"tube '{tube.name}' is not curved in one plane; it has no snap number")
+            ends.append((end, along))
+            if end > 0.0:
+                borders.add(end)
+        signed.append(ends)
+    order = sorted(borders)
+    return [
+        (
+            start,
+            end,
+            np.array([next((along for distal, along in ends if distal > start + 1e-12), math.nan) for ends in signed]),
+        )
+        for start, end in itertools.pairwise(order)
+        if end > start + 1e-12
+    ]
+
+
+def _determinant(
+    robot: Robot, beta: Array, pieces: list[tuple[float, float, Array]], signs: Array, bare: bool
+) -> float:
+    """Return the determinant of end torsion by base torsion; `bare` ignores the twist before the curves overlap."""
+    q = len(robot.tubes)
+    turn, twist = np.diag(-beta), np.eye(q)
+    met = False
+    for start, end, curvatures in pieces:
+        present = np.flatnonzero(np.isfinite(curvatures))
+        u = signs[present] * curvatures[present]
+        stiffness = robot.layout.stiffness[present, 0]
+        share = stiffness / stiffness.sum()
+        if not met and np.count_nonzero(u) > 1:
+            met = True
+            if bare:
+                turn[:] = 0.0
+        rate = robot.layout.stiffness[present, 1] * u
+        coupling = np.diag(rate * (share @ u)) - np.outer(rate, share * u)
+        # turn'' = coupling turn
+        length = end - start
+        even, odd = np.eye(len(u)), length * np.eye(len(u))
+        term = np.eye(len(u))
+        for order in range(1, 30):
+            term = term @ coupling * (length * length / ((2 * order - 1) * (2 * order)))
+            even += term
+            odd += term * (length / (2 * order + 1))
+        turn[present], twist[present] = (
+            even @ turn[present] + odd @ twist[present],
+            coupling @ odd @ turn[present] + even @ twist[present],
+        )
+    return float(np.linalg.det(twist))
+
 
 #: Largest fraction of a base sensor's range that the load may use.
 LOAD_PART = 0.6
@@ -40,3 +166,14 @@ def force_bound(robot: Robot, joints: Sequence[JointLimit], ranges: tuple[float,
         ForceBound(inner.bending_stiffness * reserve / reach, f"the strain of tube '{inner.name}'"),
     )
     return min((bound for bound in bounds if bound.newton > 0.0), key=lambda bound: bound.newton)
+
+
+def own_weight(robot: Robot, joints: Array) -> float:
+    """Return the force at the tip [N], along gravity, equivalent to the tubes' own weight at `joints` (n,)."""
+    _, beta = robot.tube_poses(joints)
+    ends = [float(start) + tube.length for start, tube in zip(beta, robot.tubes, strict=True)]
+    tip = ends[0]
+    return sum(
+        tube.weight * (tip * end**3 - 0.25 * end**4) / (2.0 * tip**3)
+        for tube, end in zip(robot.tubes, ends, strict=True)
+    )

@@ -14,8 +14,8 @@ from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
 from core.calibration.tubes import HeldOutErrors, TubeCalibration, calibrate_tubes, held_out_errors
 from core.model.batch import Solutions, solve_many
-from core.robot.own_weight import own_weight
 from core.robot.robot import Array, Robot
+from core.robot.strength import own_weight
 from station.calibration.plan import MEASUREMENT_NOISE, PlanSubject
 from station.calibration.procedure import GoToPose, OperatorPrompt, Procedure
 from station.config import loads

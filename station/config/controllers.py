@@ -5,12 +5,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from core.control.actuation import Actuation
 from core.control.controllers import strategy
-from core.control.deflection import RateFilter
-from core.control.estimation import Estimator
+from core.control.estimation import Actuation, Estimator
 from core.control.null_space import NullSpaceObjective
-from core.control.observer import Observer
+from core.control.observer import Observer, RateFilter
 from core.control.step import Controller
 from core.control.tip_direction import DEFAULT_LEVER_M, task_selection
 from core.control.tip_force import LoadEstimator

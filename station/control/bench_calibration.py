@@ -9,8 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from core.calibration.rigid_transform import rotation_from_vector, vector_from_rotation
-from core.control.corrections import Corrections
-from core.control.sensors import Sensors
+from core.control.sensors import Corrections, Sensors
 from core.control.step import Controller
 from core.control.tip_force import CALIBRATED_GAIN
 from core.robot.robot import Array, Robot

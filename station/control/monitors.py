@@ -18,7 +18,7 @@ from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from core.errors import DescriptionError
 from core.robot.limits import Limits
 from core.robot.robot import Array
-from core.robot.stability import design_snap_number
+from core.robot.strength import design_snap_number
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Positive, Strict
 from station.control.states import Transition

@@ -10,8 +10,13 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from core.control.motion_bounds import MotionBounds
-from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, DEFAULT_TURN_BOUNDS, SetpointRequest, StreamedTip
+from core.control.setpoint_request import (
+    DEFAULT_MOTION_BOUNDS,
+    DEFAULT_TURN_BOUNDS,
+    MotionBounds,
+    SetpointRequest,
+    StreamedTip,
+)
 from core.control.step import Controller
 from core.control.trajectories import JointMotion, Setpoint, rotated
 from core.robot.robot import Array

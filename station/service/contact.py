@@ -22,7 +22,7 @@ from core.calibration.contact import (
     locate_contact,
 )
 from core.calibration.measurements import Noise
-from core.control.force_fusion import FusedLoad
+from core.control.sensors import FusedLoad
 from core.errors import CtrError
 from core.model.solution import pure_force
 from core.model.statics import Statics

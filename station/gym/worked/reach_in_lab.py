@@ -18,8 +18,7 @@ import gymnasium
 import numpy as np
 from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
 
-from core.control.motion_bounds import MotionBounds
-from core.control.setpoint_request import SetpointRequest
+from core.control.setpoint_request import MotionBounds, SetpointRequest
 from station.config.controllers import PERIOD_S
 from station.config.loads import TrapezoidLoad
 from station.config.robots import load_robot

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from core.control.force_fusion import fuse_at
+from core.control.sensors import fuse_at
 from station.config.loads import ConstantLoad
 from station.devices.ati.netft import NetftSensors, NetftSettings, fetch_page
 from station.devices.aurora.dialogue import AuroraSettings

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.robot.stability import design_snap_number
+from core.robot.strength import design_snap_number
 from station.config.loads import ConstantLoad
 from station.config.robots import TubeFile, load_robot
 from station.config.strict import ConfigError

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from core.control.force_fusion import fuse_at
+from core.control.sensors import fuse_at
 from station.config.loads import ConstantLoad
 from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Devices

@@ -7,7 +7,7 @@ import pytest
 
 from core.calibration.contact import MIN_FORCE_N, evaluate_tip_load, locate_contact
 from core.calibration.measurements import Noise
-from core.control.force_fusion import FusedLoad
+from core.control.sensors import FusedLoad
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from core.robot.robot import Section

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from core.control.force_fusion import fuse_at
 from core.control.sensor_zeros import (
     LOAD_N,
     LOAD_S,
@@ -16,6 +15,7 @@ from core.control.sensor_zeros import (
     start_zeros,
     update_zeros,
 )
+from core.control.sensors import fuse_at
 from core.control.tip_force import SensorErrors
 from core.model.solution import Solution
 from core.model.statics import Statics

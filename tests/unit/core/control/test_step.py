@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.control.actuation import Actuation
 from core.control.controllers import INNER_LOOPS, Strategy, strategy
-from core.control.deflection import RateFilter
-from core.control.estimation import Estimator
-from core.control.observer import Observer
+from core.control.estimation import Actuation, Estimator
+from core.control.observer import Observer, RateFilter
 from core.control.step import Controller, Sample, set_origin, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, NotFinite

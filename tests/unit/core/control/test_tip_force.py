@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from core.control.deflection import RateFilter, gains
-from core.control.force_fusion import fuse_at
+from core.control.observer import RateFilter, gains
+from core.control.sensors import fuse_at
 from core.control.tip_force import (
     COVARIANCE,
     FITS,

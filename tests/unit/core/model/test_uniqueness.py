@@ -7,7 +7,7 @@ import pytest
 
 from core.model.uniqueness import SAFETY_FACTOR, is_unique
 from core.robot.robot import Joint, Robot, Section, Tube
-from core.robot.stability import snap_number
+from core.robot.strength import snap_number
 
 
 def pair(curvature: float, angle: float = 0.0) -> Robot:

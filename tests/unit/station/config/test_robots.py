@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from core.robot.robot import Base
-from core.robot.stability import design_snap_number
+from core.robot.strength import design_snap_number
 from station.config.robots import load_robot
 from station.config.strict import PRESETS, ConfigError
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from core.control.estimation import Estimate
-from core.control.force_fusion import FusedLoad
+from core.control.sensors import FusedLoad
 from core.control.step import ControllerState, Tick
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import SIGMA_FLOOR_M_S

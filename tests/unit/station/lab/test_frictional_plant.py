@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from core.control.force_fusion import fuse
+from core.control.sensors import fuse
 from core.model.cosserat import ExactRod
 from core.robot.robot import Joint, Robot, Section, Tube
 from station.config.robots import load_robot

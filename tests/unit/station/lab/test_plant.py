@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.control.force_fusion import fuse
+from core.control.sensors import fuse
 from core.model.cosserat import ExactRod
 from core.robot.robot import Joint, Robot, Section, Tube
 from station.lab.config import PlantConfig

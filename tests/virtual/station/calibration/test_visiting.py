@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.control.corrections import Corrections
-from core.control.sensors import Sensors
+from core.control.sensors import Corrections, Sensors
 from core.control.step import Controller
 from station.calibration.procedure import AbortedError, GoToPose, SwingMotion
 from station.calibration.visiting import measurement_of, task

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from core.control.force_fusion import closure, fuse_at
+from core.control.sensors import closure, fuse_at
 from station.config.loads import ConstantLoad, NoLoad, RampLoad, SineLoad
 from station.config.robots import RobotFile, load_robot
 from station.devices.ati.calibration import read_page
