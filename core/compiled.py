@@ -21,6 +21,9 @@ from numba.core.dispatcher import Dispatcher  # pyright: ignore[reportMissingTyp
 from numba.cpython.unsafe import tuple as numba_tuple  # pyright: ignore[reportMissingTypeStubs]
 from numpy.typing import NDArray
 
+#: Rows and columns of each part of a packed array.
+Shapes = tuple[tuple[int, int], ...]
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -95,3 +98,21 @@ def copy(numbers: NDArray[np.floating[Any]], out: NDArray[np.float64]) -> None:
     """Copy a vector: `out[:] = numbers`, in a loop because compiling numpy's assignment takes two seconds."""
     for i in range(numbers.shape[0]):
         out[i] = numbers[i]
+
+
+@inlined
+def part(numbers: NDArray[np.float64], shapes: Shapes, index: int) -> NDArray[np.float64]:
+    """Return a view (rows, columns) of one part of a packed array, whose parts follow in the order of their shapes.
+
+    A packed array exists because every array argument adds time to the call of a compiled function.
+    """
+    start = 0
+    for i in range(index):
+        start += shapes[i][0] * shapes[i][1]
+    rows, columns = shapes[index]
+    return numbers[start : start + rows * columns].reshape(rows, columns)
+
+
+def packed_size(shapes: Shapes) -> int:
+    """Return the number of values of a packed array."""
+    return sum(rows * columns for rows, columns in shapes)

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled, copy
+from core.compiled import Shapes, compiled, copy, packed_size, part
 from core.control.observer import Observer, ObserverState, RateFilter, filtered, gains, observe
 from core.control.sensors import FusedLoad, fused_at
 from core.control.tip_force import BANDWIDTH, FORCE, QUALITY, LoadEstimator, estimate_force
@@ -94,10 +94,6 @@ def advance(history: Array, sent: Array, period: float, wait: float, moved: Arra
 #: number of stored tips; index of the newest tip; whether the observer used a tracker frame in this tick; number of
 #: frames in a row that the observer rejected.
 JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT = range(6)
-#: Index of the first vector in an estimate's array, after the scalars.
-FIRST_VECTOR = 6
-#: Index of the estimated force at the tip in an estimate's array, row 17 of the vectors.
-FORCE_START = FIRST_VECTOR + 51
 #: Time constant with which the smoothed force approaches the filtered force [s].
 SMOOTHING_TIME_S = 30.0
 
@@ -138,18 +134,28 @@ VECTOR_UNITS = {
 }  # fmt: skip
 
 
+#: Number of vectors in an estimate's array: those of `VECTOR_UNITS`, the covariance, and the five rows of `load`.
+VECTOR_COUNT = len(VECTOR_UNITS) + 6
+
+
+@compiled
+def _shapes(n: int, ticks: int, history: int) -> Shapes:
+    """Return the shapes of an estimate's array: scalars, `vectors`, `ahead`, `sent`, `tips` of `EstimateFields`."""
+    return (1, 6), (VECTOR_COUNT, 3), (1, n), (ticks, n), (history, 3)
+
+
+#: Index of the estimated force at the tip in an estimate's array.
+FORCE_START = REJECTED_COUNT + 1 + 3 * EstimateFields._fields.index("load")
+
+
 @compiled
 def estimate_fields(numbers: Array) -> EstimateFields:
     """Return named views of an estimate's array."""
-    n, ticks, history = int(numbers[JOINT_COUNT]), int(numbers[DELAY_TICKS]), int(numbers[HISTORY_TICKS])
-    ahead = FIRST_VECTOR + 66
-    sent = ahead + n
-    tips = sent + ticks * n
-    v = numbers[FIRST_VECTOR:ahead].reshape(22, 3)
+    shapes = _shapes(int(numbers[JOINT_COUNT]), int(numbers[DELAY_TICKS]), int(numbers[HISTORY_TICKS]))
+    v = part(numbers, shapes, 1)
     return EstimateFields(
         v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
-        v[17:], v,
-        numbers[ahead:sent], numbers[sent:tips].reshape(ticks, n), numbers[tips:].reshape(history, 3),
+        v[17:], v, part(numbers, shapes, 2)[0], part(numbers, shapes, 3), part(numbers, shapes, 4),
     )  # fmt: skip
 
 
@@ -200,7 +206,7 @@ class Estimator:
         observed, motion = self.observer.start(loaded.tip, tip), self.actuation.start(loaded.joints.size)
         ticks, n = motion.sent.shape
         history = len(observed.tips)
-        numbers = np.zeros(FIRST_VECTOR + 66 + n + ticks * n + 3 * history)
+        numbers = np.zeros(packed_size(_shapes(n, ticks, history)))
         numbers[JOINT_COUNT], numbers[DELAY_TICKS], numbers[HISTORY_TICKS], numbers[FRAME_USED] = (
             n,
             ticks,

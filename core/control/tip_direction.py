@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled, copy
+from core.compiled import Shapes, compiled, copy, part
 from core.control.controllers import inner_law
 from core.control.estimation import Estimate, Estimator, estimate_fields
 from core.control.observer import observe
@@ -115,10 +115,17 @@ class _DirectionFields(NamedTuple):
 
 
 @compiled
+def _shapes(size: int) -> Shapes:
+    """Return the shapes of the `_DirectionFields` of an array with `size` values; the arrows take the remainder."""
+    return (5, 3), (1, 3), (1, 3), (1, 3), (1, 3), (1, 2), ((size - 29) // 3, 3)
+
+
+@compiled
 def _direction_fields(numbers: Array) -> _DirectionFields:
+    shapes = _shapes(numbers.shape[0])
     return _DirectionFields(
-        numbers[:15].reshape(5, 3), numbers[15:18], numbers[18:21], numbers[21:24], numbers[24:27], numbers[27:29],
-        numbers[29:].reshape((numbers.shape[0] - 29) // 3, 3),
+        part(numbers, shapes, 0), part(numbers, shapes, 1)[0], part(numbers, shapes, 2)[0],
+        part(numbers, shapes, 3)[0], part(numbers, shapes, 4)[0], part(numbers, shapes, 5)[0], part(numbers, shapes, 6),
     )  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from core.model.solution import (
     PASSES,
     STABILITY,
     TUBE_COUNT,
+    PartView,
     Solution,
     fields,
     layout,
@@ -50,6 +51,12 @@ class Solutions:
     tubes: int  #: q
     joints: int  #: n
 
+    # Arrays (k, ...) of the rows, see `solution.Parts`.
+    tip = PartView()
+    rotation = PartView()
+    jacobian = PartView()
+    compliance = PartView()
+
     def __len__(self) -> int:
         return self.numbers.shape[0]
 
@@ -72,26 +79,6 @@ class Solutions:
         return self
 
     @property
-    def tip(self) -> Array:
-        """Tip positions (k, 3) [m]."""
-        return self._part("tip")
-
-    @property
-    def rotation(self) -> Array:
-        """Frames of the innermost tube at the tip (k, 3, 3)."""
-        return self._part("rotation")
-
-    @property
-    def jacobian(self) -> Array:
-        """Jacobians of the tip by the joints (k, 6, n) [m or rad per rad or m]; rows: position, then rotation."""
-        return self._part("jacobian")
-
-    @property
-    def compliance(self) -> Array:
-        """Compliances (k, 6, 6) by force and tip moment [m or rad per N or N m]; rows: position, then rotation."""
-        return self._part("compliance")
-
-    @property
     def stability(self) -> Array:
         """Margins of stability (k,), see `Solution.stability`."""
         return self.numbers[:, STABILITY]
@@ -112,7 +99,8 @@ class Solutions:
             raise self.failures[row]
         return Solution(self.numbers[row])
 
-    def _part(self, name: str) -> Array:
+    def part(self, name: str) -> Array:
+        """Return one of the `Parts` of all rows (k, ...)."""
         where, shape = layout(self.tubes, self.joints)[name]
         return self.numbers[:, where].reshape(-1, *shape)
 

@@ -1,16 +1,16 @@
 """A solved shape of the robot: one array of numbers, and names for its parts.
 
 The solver writes one array, because allocating a dozen small arrays took as long as solving the model. The array starts
-with a few scalars at the indices below; the `Parts` follow in their order.
+with a few scalars at the indices below; the `Parts` follow in their order, with the shapes of `_shapes`.
 """
 
 from collections.abc import Mapping
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import Shapes, compiled, packed_size, part
 from core.robot.robot import Array
 
 #: Indices of the scalars: numbers of tubes and joints, arc length of the force from the plate [m], margin of stability,
@@ -33,38 +33,35 @@ class Parts(NamedTuple):
     bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
 
 
+@compiled
+def _shapes(q: int, n: int) -> Shapes:
+    """Return the shapes of the scalars and of each of the `Parts` in a solution's numbers."""
+    size = q + 3
+    return (
+        (1, 6), (1, 3), (3, 3), (6, n), (6, 6), (1, size), (size, n + 6), (1, n), (1, 6), (1, n + 6), (2, size)
+    )  # fmt: skip
+
+
 def size(q: int, n: int) -> int:
     """Return the number of values of a solution for q tubes and n joints."""
-    size = q + 3
-    return 6 + 3 + 9 + 6 * n + 36 + size + size * (n + 6) + n + 6 + (n + 6) + 2 * size
+    return packed_size(_shapes(q, n))
 
 
 @compiled
 def fields(numbers: Array) -> Parts:
     """Return the parts of a solution's numbers as views."""
-    q, n = int(numbers[TUBE_COUNT]), int(numbers[JOINT_COUNT])
-    size = q + 3
-    tip = 6
-    rotation = tip + 3
-    jacobian = rotation + 9
-    compliance = jacobian + 6 * n
-    unknowns = compliance + 36
-    sensitivity = unknowns + size
-    joints = sensitivity + size * (n + 6)
-    wrench = joints + n
-    move = wrench + 6
-    bend = move + n + 6
+    shapes = _shapes(int(numbers[TUBE_COUNT]), int(numbers[JOINT_COUNT]))
     return Parts(
-        numbers[tip:rotation],
-        numbers[rotation:jacobian].reshape(3, 3),
-        numbers[jacobian:compliance].reshape(6, n),
-        numbers[compliance:unknowns].reshape(6, 6),
-        numbers[unknowns:sensitivity],
-        numbers[sensitivity:joints].reshape(size, n + 6),
-        numbers[joints:wrench],
-        numbers[wrench:move],
-        numbers[move:bend],
-        numbers[bend:].reshape(2, size),
+        part(numbers, shapes, 1)[0],
+        part(numbers, shapes, 2),
+        part(numbers, shapes, 3),
+        part(numbers, shapes, 4),
+        part(numbers, shapes, 5)[0],
+        part(numbers, shapes, 6),
+        part(numbers, shapes, 7)[0],
+        part(numbers, shapes, 8)[0],
+        part(numbers, shapes, 9)[0],
+        part(numbers, shapes, 10),
     )
 
 
@@ -77,65 +74,54 @@ def layout(q: int, n: int) -> Mapping[str, tuple[slice, tuple[int, ...]]]:
     return {name: (slice(int(part.flat[0]), int(part.flat[0]) + part.size), part.shape) for name, part in found.items()}
 
 
-class Solution:
-    """Solution of the model: the loaded robot at one pose."""
+class PartsReader(Protocol):
+    """Object with named parts: a solution, or many solutions."""
 
-    __slots__ = ("_parts", "numbers")
+    def part(self, name: str) -> Array:
+        """Return one of the `Parts`."""
+        ...
+
+
+class PartView:
+    """Attribute that reads the part of its name on demand, because most parts are never read."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Store the name of the part."""
+        self._name = name
+
+    def __get__(self, solution: PartsReader, owner: type | None = None) -> Array:
+        """Return the part of a solution."""
+        return solution.part(self._name)
+
+
+class Solution:
+    """Solution of the model: the loaded robot at one pose. `Parts` describes its arrays."""
+
+    __slots__ = ("_layout", "numbers")
+
+    tip = PartView()
+    rotation = PartView()
+    jacobian = PartView()
+    compliance = PartView()
+    unknowns = PartView()
+    sensitivity = PartView()
+    joints = PartView()
+    wrench = PartView()
 
     def __init__(self, numbers: Array) -> None:
         self.numbers = numbers
-        self._parts: Mapping[str, tuple[slice, tuple[int, ...]]] | None = None
+        self._layout: Mapping[str, tuple[slice, tuple[int, ...]]] | None = None
 
     def copy(self) -> "Solution":
         """Return a copy that shares no memory with this solution."""
         return Solution(self.numbers.copy())
 
-    def _part(self, name: str) -> Array:
-        """Return one of the `Parts`, computed on demand: most are never read."""
-        if self._parts is None:
-            self._parts = layout(int(self.numbers[TUBE_COUNT]), int(self.numbers[JOINT_COUNT]))
-        where, shape = self._parts[name]
+    def part(self, name: str) -> Array:
+        """Return one of the `Parts`."""
+        if self._layout is None:
+            self._layout = layout(int(self.numbers[TUBE_COUNT]), int(self.numbers[JOINT_COUNT]))
+        where, shape = self._layout[name]
         return self.numbers[where].reshape(shape)
-
-    @property
-    def tip(self) -> Array:
-        """Position of the tip (3,) [m]."""
-        return self._part("tip")
-
-    @property
-    def rotation(self) -> Array:
-        """Frame of the innermost tube at the tip (3, 3)."""
-        return self._part("rotation")
-
-    @property
-    def jacobian(self) -> Array:
-        """Derivative J of the tip by the joints (6, n) [m or rad per rad or m]; rows: position, then rotation."""
-        return self._part("jacobian")
-
-    @property
-    def compliance(self) -> Array:
-        """Derivative C of the tip by force and tip moment (6, 6) [m or rad per N or N m]; rows: position, rotation."""
-        return self._part("compliance")
-
-    @property
-    def unknowns(self) -> Array:
-        """Torsion of each tube at the plate [1/m] and moment about the plate [N m] (q + 3,)."""
-        return self._part("unknowns")
-
-    @property
-    def sensitivity(self) -> Array:
-        """Derivative of the unknowns by joints, force and moment (q + 3, n + 6)."""
-        return self._part("sensitivity")
-
-    @property
-    def joints(self) -> Array:
-        """Joint positions for which the model was solved (n,) [rad or m]."""
-        return self._part("joints")
-
-    @property
-    def wrench(self) -> Array:
-        """Load for which the model was solved (6,) [N, N m]."""
-        return self._part("wrench")
 
     @property
     def contact(self) -> float:

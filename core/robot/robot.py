@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.compiled import compiled
+from core.compiled import Shapes, compiled, part
 from core.errors import DescriptionError, PoseError
 
 Array = NDArray[np.float64]
@@ -290,26 +290,26 @@ class Robot:
 
 
 @compiled
+def _shapes(q: int, k: int, n: int) -> Shapes:
+    """Return the shapes of the sizes q, k and n, and of each array of a `Layout`, in `Robot.packed`."""
+    return (1, 3), (q, k), (q, 2 * k), (1, q), (q, 2), (1, n), (1, n), (q, 2), (1, 12)
+
+
+@compiled
 def unpack(packed: Array) -> Layout:
     """Return the layout of `Robot.packed`; its arrays are views."""
     sizes = packed[:3].view(np.int64)
-    q, k, n = sizes[0], sizes[1], sizes[2]
-    a = 3 + q * k
-    b = a + 2 * q * k
-    c = b + q
-    d = c + 2 * q
-    e = d + n
-    f = e + n
-    g = f + 2 * q
+    q, k = sizes[0], sizes[1]
+    shapes = _shapes(q, k, sizes[2])
     return Layout(
-        packed[3:a].reshape(q, k),
-        packed[a:b].reshape(q, k, 2),
-        packed[b:c].view(np.int64),
-        packed[c:d].reshape(q, 2),
-        packed[d:e].view(np.int64),
-        packed[e:f].view(np.int64),
-        packed[f:g].reshape(q, 2),
-        packed[g : g + 12],
+        part(packed, shapes, 1),
+        part(packed, shapes, 2).reshape(q, k, 2),
+        part(packed, shapes, 3)[0].view(np.int64),
+        part(packed, shapes, 4),
+        part(packed, shapes, 5)[0].view(np.int64),
+        part(packed, shapes, 6)[0].view(np.int64),
+        part(packed, shapes, 7),
+        part(packed, shapes, 8)[0],
     )
 
 
