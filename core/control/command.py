@@ -4,19 +4,23 @@ The steps are the outer loop, the inner loop, and the inverse of the Jacobian in
 can replace the outer and the inner loop. The inverse and the limits are the same for all strategies.
 """
 
+from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.compiled import compiled, copy
-from core.control.controllers import LoopInputs, Strategy, VelocityTask, inner_law, outer_law
+from core.control.controllers import FeedbackOptions, LoopInputs, Strategy, Task, TaskInputs, inner_law, outer_law
 from core.control.estimation import Estimate, estimate_fields
-from core.control.tip_direction import NO_DIRECTION_TASK, POSITION_ONLY, TaskSelection, with_direction
+from core.control.tip_direction import POSITION_ONLY, TaskSelection
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import (
-    ADAPTIVE_DAMPING_M_S,
     NO_BOUNDS,
     NullSpace,
+    VelocityLimits,
+    VelocityTask,
     inverse_at,
     inverse_law,
     no_rows,
@@ -42,19 +46,27 @@ class CommandResult(NamedTuple):
 OBSERVER_DRIFT = np.zeros(0)
 
 
-class FeedbackOptions(NamedTuple):
-    """Measurements and estimates that the loops use as feedback."""
+#: Settings of the compiled control law, which reads them by name.
+_SETTINGS = np.dtype([
+    ("k1", float), ("k2", float), ("feedforward", float), ("inner", int),  # `Strategy.laws`
+    ("lead_time", float), ("observes", bool), ("exact_rate", bool),  # `FeedbackOptions`
+    ("weight", float), ("min_floor", float),  # `TaskSelection`: of the position; smallest singular value
+])  # fmt: skip
 
-    lead_time: float  #: time by which the outer loop predicts the setpoint [s]
-    observes: bool  #: True: feedback is the observed tip, predicted by `lead_time`; False: the latest tracker frame
-    exact_rate: bool  #: True: the inner loop Type I computes the deflection's rate from C, J and the filtered force
+
+@cache
+def _settings(
+    laws: tuple[float, float, float, int], feedback: FeedbackOptions, weight: float, min_floor: float
+) -> NDArray[np.void]:
+    """Return the settings as an array with one record."""
+    return np.array([(*laws, *feedback, weight, min_floor)], _SETTINGS)
 
 
 def command(
     strategy: Strategy, feedback: FeedbackOptions, limits: Limits,
     joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
     drift: Array = OBSERVER_DRIFT,
-    aim: TaskSelection = POSITION_ONLY, pointing: Array = NO_DIRECTION_TASK, null_space: NullSpace | None = None,
+    aim: TaskSelection = POSITION_ONLY, tasks: Sequence[Task] = (), null_space: NullSpace | None = None,
 ) -> CommandResult:  # fmt: skip
     """Return the joint velocities that move the tip toward a setpoint.
 
@@ -70,7 +82,7 @@ def command(
         origin: position (3,) from which setpoints are measured [m].
         drift: tip velocity (3,) that neither joints nor load explain [m/s], or `OBSERVER_DRIFT`.
         aim: controlled coordinates of the tip; custom loops control the position only.
-        pointing: (6, 3) direction task from `pack_direction_task`, if the direction is controlled.
+        tasks: tasks in addition to the position, with built-in loops.
         null_space: objective for joint motions that do not move the tip; None: the preferred joint velocity is zero.
 
     Raises:
@@ -87,11 +99,16 @@ def command(
         found = inverse_at(limits, joints, *task, rows, room)
         return CommandResult(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
     null_space = NullSpace(zero_velocity(n), no_rows(n)) if null_space is None else null_space
+    others = VelocityTask(no_rows(n), NO_BOUNDS)
+    if tasks:
+        inputs = TaskInputs(strategy.laws, feedback, now.loaded, now.unloaded)
+        parts = [task.rows(inputs) for task in tasks]
+        others = VelocityTask(*(np.concatenate(sides) for sides in zip(*parts, strict=True)))
     found = CommandResult(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
     if not _command(
-        *strategy.laws, *feedback, limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, drift, aim.position, aim.lever, pointing, rows, room,
-        *null_space, aim.floor, ADAPTIVE_DAMPING_M_S, *found,
+        _settings(strategy.laws, feedback, aim.position, aim.floor),
+        limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
+        setpoint.position, setpoint.velocity, tip, origin, drift, *others, rows, room, *null_space, *found,
     ):  # fmt: skip
         raise NotFinite(f"requested tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     return found
@@ -148,32 +165,42 @@ def _setpoint_ahead(lead_time: float, desired: Array, velocity: Array) -> Array:
 
 
 @compiled
+def _stacked(weight: float, position: VelocityTask, rows: Array, velocity: Array) -> VelocityTask:
+    """Return the weighted rows of the position (none if its weight is 0), then the rows of the other tasks."""
+    first, n = 3 if weight > 0.0 else 0, rows.shape[1]
+    jacobian, sides = np.empty((first + velocity.size, n)), np.empty(first + velocity.size)
+    for i in range(sides.size):
+        sides[i] = weight * position.velocity[i] if i < first else velocity[i - first]
+        for j in range(n):
+            jacobian[i, j] = weight * position.jacobian[i, j] if i < first else rows[i - first, j]
+    return VelocityTask(jacobian, sides)
+
+
+@compiled
 def _command(
-    k1: float, k2: float, feedforward: float, number: int, lead_time: float, observes: bool, exact_rate: bool,
-    limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
-    desired: Array, velocity: Array, tip: Array, origin: Array, drift: Array,
-    weight: float, lever: float, pointing: Array, rows: Array, room: Array, null_space: Array, resisted: Array,
-    min_floor: float, adaptive: float,
+    settings: NDArray[np.void], limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
+    desired: Array, velocity: Array, tip: Array, origin: Array, drift: Array, task_rows: Array, task_velocity: Array,
+    rows: Array, room: Array, preferred: Array, resisted: Array,
     command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
 ) -> bool:  # fmt: skip
     """Compute `command` with built-in loops into the last five arguments; return False if an input is not finite."""
-    now, here = estimate_fields(estimate), np.empty(3)
+    law, now, here = settings[0], estimate_fields(estimate), np.empty(3)
     for i in range(3):
-        here[i] = (now.tip_ahead[i] if observes else tip[i]) - origin[i]
-    copy(outer_law(k1, k2, feedforward, _setpoint_ahead(lead_time, desired, velocity), velocity, here), u_int)
-    rate = now.deflection_rate_exact if exact_rate else now.deflection_rate
-    with_load, free = fields(loaded), fields(unloaded)
-    jacobian, velocity_task = inner_law(
-        number, u_int, with_load.jacobian, free.jacobian, rate, now.load_rate, now.drift if drift.size == 0 else drift
+        here[i] = (now.tip_ahead[i] if law.observes else tip[i]) - origin[i]
+    aim = _setpoint_ahead(law.lead_time, desired, velocity)
+    copy(outer_law(law.k1, law.k2, law.feedforward, aim, velocity, here), u_int)
+    rate = now.deflection_rate_exact if law.exact_rate else now.deflection_rate
+    unexplained = now.drift if drift.size == 0 else drift
+    task = VelocityTask(
+        *inner_law(
+            law.inner, u_int, fields(loaded).jacobian, fields(unloaded).jacobian, rate, now.load_rate, unexplained
+        )
     )
-    jacobian, velocity_task = with_direction(
-        weight, lever, number, k1, feedforward, lead_time,
-        jacobian, velocity_task, with_load.jacobian, free.jacobian, with_load.rotation, pointing,
-    )  # fmt: skip
+    if task_velocity.size > 0:
+        task = _stacked(law.weight, task, task_rows, task_velocity)
     lower, upper = velocity_bounds(joints, limits)
-    found, values, bounded, active, finite = inverse_law(
-        jacobian, velocity_task, limits[2], lower, upper, rows, room, null_space, resisted, min_floor, adaptive
-    )
+    bounds = VelocityLimits(limits[2], lower, upper, rows, room)
+    found, values, bounded, active, finite = inverse_law(task, bounds, NullSpace(preferred, resisted), law.min_floor)
     copy(found, command)
     for i in range(sigma.shape[0]):
         sigma[i] = values[max(0, values.shape[0] - sigma.shape[0] + i)]

@@ -28,6 +28,7 @@ import numpy as np
 from core.compiled import compiled
 from core.contract import name_of, numbers, pair, result_of
 from core.control.trajectories import Setpoint
+from core.control.velocity_ik import VelocityTask
 from core.errors import ContractError, DescriptionError
 from core.model.statics import Solution
 from core.robot.robot import Array
@@ -43,11 +44,29 @@ class LoopInputs(NamedTuple):
     drift: Array  #: (3,) tip velocity X' - J q' - C w' that neither joints nor load explain [m/s]
 
 
-class VelocityTask(NamedTuple):
-    """Equation that the joint velocities should satisfy: jacobian @ joint_velocity = velocity."""
+class FeedbackOptions(NamedTuple):
+    """Measurements and estimates that the loops use as feedback."""
 
-    jacobian: Array  #: (3, n) left side of the equation [m/rad or m/m]
-    velocity: Array  #: (3,) right side of the equation, a tip velocity [m/s]
+    lead_time: float  #: time by which the outer loop predicts the setpoint [s]
+    observes: bool  #: True: feedback is the observed tip, predicted by `lead_time`; False: the latest tracker frame
+    exact_rate: bool  #: True: the inner loop Type I computes the deflection's rate from C, J and the filtered force
+
+
+class TaskInputs(NamedTuple):
+    """What a task may use: the built-in loops, their feedback, and the model's solutions."""
+
+    laws: tuple[float, float, float, int]  #: gains of the outer loop and number of the inner loop, `Strategy.laws`
+    feedback: FeedbackOptions
+    loaded: Solution  #: solution of the model under the measured load
+    unloaded: Solution  #: solution of the model without load
+
+
+class Task(Protocol):
+    """A control task in addition to the tip's position, for example the tip's direction."""
+
+    def rows(self, at: TaskInputs) -> VelocityTask:
+        """Return the task's rows, one equation for the joint velocities each, in units of the position [m/s]."""
+        ...
 
 
 class OuterLoop(Protocol):

@@ -14,19 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.command import OBSERVER_DRIFT, CommandResult, FeedbackOptions, command
-from core.control.controllers import Strategy
+from core.control.command import OBSERVER_DRIFT, CommandResult, command
+from core.control.controllers import FeedbackOptions, Strategy, Task
 from core.control.estimation import FRAME_USED, Estimate, Estimator, perceive
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import Corrections, FusedLoad, fuse_at
 from core.control.tip_direction import (
-    NO_DIRECTION_TASK,
     POSITION_ONLY,
     DirectionEstimate,
+    DirectionTask,
     TaskSelection,
-    pack_direction_task,
     start_direction,
     update_direction,
 )
@@ -232,9 +231,9 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         direction = _direction_estimate(controller, memory.direction, now, sample)
     slope = memory.slope
     if isinstance(order, Setpoint):
-        requested, null_space = NO_DIRECTION_TASK, None
+        tasks, null_space = list[Task](), None
         if direction is not None and controller.aim.lever > 0.0:
-            requested = pack_direction_task(direction, order.direction, order.turning, controller.observes)
+            tasks.append(DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
         if controller.null_space is not None:
             slope = controller.null_space.updated_gradient(controller.statics, limits, now.loaded, slope)
             null_space = controller.null_space.objective(
@@ -243,7 +242,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         found = command(
             controller.strategy, controller.feedback, limits,
             sample.joints, now, now.force, order, tip, memory.origin, drift,
-            controller.aim, requested, null_space,
+            controller.aim, tasks, null_space,
         )  # fmt: skip
     else:
         # Without a tip setpoint, report the present tip as setpoint.

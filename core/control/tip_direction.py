@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import Shapes, compiled, copy, part
-from core.control.controllers import inner_law
+from core.control.controllers import TaskInputs, inner_law
 from core.control.estimation import Estimate, Estimator, estimate_fields
 from core.control.observer import observe
-from core.control.velocity_ik import SIGMA_FLOOR_M_S
+from core.control.velocity_ik import SIGMA_FLOOR_M_S, VelocityTask
 from core.errors import DescriptionError
 from core.model.solution import fields
 from core.robot.robot import Array
@@ -129,6 +129,27 @@ def _direction_fields(numbers: Array) -> _DirectionFields:
     )  # fmt: skip
 
 
+@compiled
+def _cross(a: Array, b: Array) -> Array:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@compiled
+def _unit(vector: Array) -> Array:
+    return vector / np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+
+
+@compiled
+def _shortest_rotation(here: Array, there: Array) -> Array:
+    """Return the shortest rotation (3,) from one direction to the other, axis times angle [rad]."""
+    axis = _cross(here, there)
+    sin, cos = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2), 0.0
+    for i in range(3):
+        cos += here[i] * there[i]
+    angle = np.arctan2(sin, cos)
+    return axis * (angle / sin) if sin > 1e-12 else np.zeros(3)
+
+
 def start_direction(
     estimator: Estimator, model: Array, direction: Array, origin: Array | None = None
 ) -> DirectionEstimate:
@@ -204,68 +225,50 @@ def _update_direction(
     counts[0], counts[1] = weight, in_a_row
 
 
-#: Placeholder used when the tip's direction is not controlled.
-NO_DIRECTION_TASK = np.zeros((6, 3))
+class DirectionTask(NamedTuple):
+    """Task that turns the tip to a desired direction; its rows are two rotations across the tip's axis."""
 
+    lever: float  #: weight of the rows [m/rad]
+    estimate: DirectionEstimate  #: direction estimate of this tick
+    desired: Array | None  #: (3,) desired direction; None: the direction at the start of the motion
+    turning: Array  #: (3,) angular velocity of the desired direction [rad/s]
 
-def pack_direction_task(pointed: DirectionEstimate, desired: Array | None, turning: Array, observes: bool) -> Array:
-    """Return the direction task as an array (6, 3), the argument `packed` of `with_direction`.
-
-    Args:
-        pointed: direction estimate of this tick.
-        desired: desired direction (3,); None: the direction at the start of the motion.
-        turning: angular velocity (3,) of the desired direction [rad/s].
-        observes: True: use the direction predicted for the time when the command takes effect; False: the latest frame.
-
-    """
-    numbers = np.empty((6, 3))
-    numbers[0], numbers[1] = pointed.origin if desired is None else desired, turning
-    numbers[2] = pointed.ahead if observes else pointed.measured
-    numbers[3:] = pointed.turnings
-    return numbers
+    def rows(self, at: TaskInputs) -> VelocityTask:
+        """Return the weighted rows (2, n) and their right sides (2,), with the inner loop of the position."""
+        gain, _, feedforward, number = at.laws
+        estimate, vectors = self.estimate, np.empty((3, 3))
+        vectors[0], vectors[1] = estimate.origin if self.desired is None else self.desired, self.turning
+        vectors[2] = estimate.ahead if at.feedback.observes else estimate.measured
+        return VelocityTask(
+            *_direction_rows(
+                self.lever, number, gain, feedforward, at.feedback.lead_time,
+                at.loaded.numbers, at.unloaded.numbers, vectors, estimate.numbers,
+            )
+        )  # fmt: skip
 
 
 @compiled
-def with_direction(
-    weight: float, lever: float, number: int, gain: float, feedforward: float, lead_time: float,
-    jacobian: Array, velocity: Array, loaded: Array, unloaded: Array, rotation: Array, packed: Array,
+def _direction_rows(
+    lever: float, number: int, gain: float, feedforward: float, lead_time: float,
+    loaded: Array, unloaded: Array, vectors: Array, numbers: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return both sides of the task's equation: weighted rows of the position, then rows of the direction.
-
-    `packed` comes from `pack_direction_task`.
-    """
-    if lever == 0.0:
-        return jacobian, velocity
-    desired, turning, here = packed[0], packed[1], packed[2]
+    """Compute `DirectionTask.rows`; the rows of `vectors` are the desired direction, its turning, and the direction."""
+    desired, turning, here = vectors[0], vectors[1], vectors[2]
+    with_load, free, now = fields(loaded), fields(unloaded), _direction_fields(numbers).now
     aimed = _unit(desired + lead_time * _cross(turning, desired))
     turn = _shortest_rotation(here, aimed)
     for i in range(3):
         turn[i] = gain * turn[i] + feedforward * turning[i]
-    across, right = inner_law(number, turn, loaded[3:], unloaded[3:], packed[4], packed[3], packed[5])
-    n, first = jacobian.shape[1], 3 if weight > 0.0 else 0
-    rows, sides = np.zeros((first + 2, n)), np.zeros(first + 2)
-    for i in range(first):
-        sides[i] = weight * velocity[i]
-        for j in range(n):
-            rows[i, j] = weight * jacobian[i, j]
+    across, right = inner_law(number, turn, with_load.jacobian[3:], free.jacobian[3:], now[3], now[2], now[4])
+    n = across.shape[1]
+    rows, sides = np.zeros((2, n)), np.zeros(2)
     for k in range(2):
         for i in range(3):
-            part = lever * rotation[i, k]
-            sides[first + k] += part * right[i]
+            weight = lever * with_load.rotation[i, k]
+            sides[k] += weight * right[i]
             for j in range(n):
-                rows[first + k, j] += part * across[i, j]
+                rows[k, j] += weight * across[i, j]
     return rows, sides
-
-
-@compiled
-def _shortest_rotation(here: Array, there: Array) -> Array:
-    """Return the shortest rotation (3,) from one direction to the other, axis times angle [rad]."""
-    axis = _cross(here, there)
-    sin, cos = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2), 0.0
-    for i in range(3):
-        cos += here[i] * there[i]
-    angle = np.arctan2(sin, cos)
-    return axis * (angle / sin) if sin > 1e-12 else np.zeros(3)
 
 
 def shortest_rotation(here: Array, there: Array) -> Array:
@@ -279,13 +282,3 @@ def task_rows(aim: TaskSelection, jacobian: Array, rotation: Array) -> Array:
         aim.lever > 0.0
     )
     return np.concatenate(parts)
-
-
-@compiled
-def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-@compiled
-def _unit(vector: Array) -> Array:
-    return vector / np.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)

@@ -22,7 +22,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.errors import NotFinite
-from core.robot.limits import Limits, velocity_bounds
+from core.robot.limits import Limits
 from core.robot.robot import Array
 
 #: The inverse is damped if the smallest singular value of J diag(speed) is below this floor, at any desired tip speed
@@ -44,6 +44,23 @@ class Inverse(NamedTuple):
     sigma: Array  #: (min(m, n),) singular values of J diag(speed), largest first [m/s]
     at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
     at_row: Array  #: (m,) 1 where a limit that combines several joints is active, else 0
+
+
+class VelocityTask(NamedTuple):
+    """Equation that the joint velocities should satisfy: jacobian @ joint_velocity = velocity."""
+
+    jacobian: Array  #: (m, n) left side of the equation [m/rad or m/m]
+    velocity: Array  #: (m,) right side of the equation, a tip velocity [m/s]
+
+
+class VelocityLimits(NamedTuple):
+    """Bounds that the joint velocities v must satisfy: lower <= v <= upper, rows @ v <= room; zero is allowed."""
+
+    speed: Array  #: (n,) top speeds of the joints, used as units [rad/s or m/s]
+    lower: Array  #: (n,) not positive [rad/s or m/s]
+    upper: Array  #: (n,) not negative [rad/s or m/s]
+    rows: Array  #: (k, n) matrix G of the limits of several joints
+    room: Array  #: (k,) vector h of these limits, not negative
 
 
 class NullSpace(NamedTuple):
@@ -76,12 +93,10 @@ def inverse(
     n = speed.shape[0]
     preferred = zero_velocity(n) if preferred is None else preferred
     rows, resisted = (no_rows(n) if given is None else given for given in (rows, resisted))
-    velocity, sigma, at_bound, at_row, finite = inverse_law(
-        jacobian, desired, speed, lower, upper, rows, room, preferred, resisted, SIGMA_FLOOR_M_S, ADAPTIVE_DAMPING_M_S
-    )
+    *found, finite = _inverse(jacobian, desired, speed, lower, upper, rows, room, preferred, resisted)
     if not finite:
         _raise_not_finite(jacobian, desired)
-    return Inverse(velocity, sigma, at_bound, at_row)
+    return Inverse(*found)
 
 
 def inverse_at(
@@ -89,23 +104,7 @@ def inverse_at(
     rows: Array | None = None, room: Array = NO_BOUNDS,
 ) -> Inverse:  # fmt: skip
     """Compute `inverse` with velocity bounds that let joints at `joints` (n,) [rad or m] stop inside their travel."""
-    n = joints.shape[0]
-    rows = no_rows(n) if rows is None else rows
-    velocity, sigma, at_bound, at_row, finite = _inverse_at(
-        limits.packed,
-        joints,
-        jacobian,
-        desired,
-        rows,
-        room,
-        zero_velocity(n),
-        no_rows(n),
-        SIGMA_FLOOR_M_S,
-        ADAPTIVE_DAMPING_M_S,
-    )
-    if not finite:
-        _raise_not_finite(jacobian, desired)
-    return Inverse(velocity, sigma, at_bound, at_row)
+    return inverse(jacobian, desired, limits.speed, *limits.velocity_bounds(joints), rows, room)
 
 
 def _raise_not_finite(jacobian: Array, desired: Array) -> None:
@@ -114,16 +113,6 @@ def _raise_not_finite(jacobian: Array, desired: Array) -> None:
     if not np.isfinite(jacobian).all():
         raise NotFinite(f"Jacobian {jacobian.tolist()} is not finite")
     raise NotFinite(f"tip velocity {desired.tolist()} m/s or Jacobian {jacobian.tolist()} is too large to compute with")
-
-
-@compiled
-def _inverse_at(
-    limits: Array, joints: Array, jacobian: Array, desired: Array, rows: Array, room: Array,
-    preferred: Array, resisted: Array, min_floor: float, adaptive: float,
-) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
-    speed = limits[2, : joints.shape[0]]
-    lower, upper = velocity_bounds(joints, limits)
-    return inverse_law(jacobian, desired, speed, lower, upper, rows, room, preferred, resisted, min_floor, adaptive)
 
 
 @cache
@@ -140,23 +129,16 @@ def zero_velocity(joints: int) -> Array:
 
 @compiled
 def inverse_law(
-    jacobian: Array,
-    desired: Array,
-    speed: Array,
-    lower: Array,
-    upper: Array,
-    rows: Array,
-    room: Array,
-    preferred: Array,
-    resisted: Array,
-    min_floor: float,
-    adaptive: float,
+    task: VelocityTask, limits: VelocityLimits, null_space: NullSpace, min_floor: float
 ) -> tuple[Array, Array, Array, Array, bool]:
     """Compute `inverse` in compiled code; the unknowns are x = v / speed.
 
     Each limit has a number c: c < n is the upper bound of joint c, n <= c < 2 n the lower bound of joint c - n, and
     other numbers the row c - 2 n.
     """
+    jacobian, desired = task
+    speed, lower, upper, rows, room = limits
+    preferred, resisted = null_space
     n, m, size = speed.shape[0], rows.shape[0], desired.shape[0]
     scaled, total, square = np.empty((size, n)), 0.0, 0.0
     for i in range(size):
@@ -172,7 +154,7 @@ def inverse_law(
     if not np.isfinite(total + square):
         return velocity, sigma, at_bound, at_row, False
     requested = np.sqrt(square)
-    floor = max(min_floor, np.sqrt(adaptive * requested))
+    floor = max(min_floor, np.sqrt(ADAPTIVE_DAMPING_M_S * requested))
     ratio = sigma[-1] / floor
     damping = floor * floor * (1.0 - ratio * ratio) if ratio < 1.0 else 0.0
     # With more joints than rows, a ridge far below the damping selects the solution near `preferred`.
@@ -257,6 +239,20 @@ def inverse_law(
         total += x[i]
         velocity[i] = min(max(x[i] * speed[i], lower[i]), upper[i])
     return velocity, sigma, at_bound, at_row, bool(np.isfinite(total))
+
+
+@compiled
+def _inverse(
+    jacobian: Array, desired: Array, speed: Array, lower: Array, upper: Array,
+    rows: Array, room: Array, preferred: Array, resisted: Array,
+) -> tuple[Array, Array, Array, Array, bool]:  # fmt: skip
+    """Call `inverse_law` with arrays, because every record in a call from Python takes two microseconds."""
+    return inverse_law(
+        VelocityTask(jacobian, desired),
+        VelocityLimits(speed, lower, upper, rows, room),
+        NullSpace(preferred, resisted),
+        SIGMA_FLOOR_M_S,
+    )
 
 
 @compiled
