@@ -33,7 +33,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
-from core.robot.robot import Array
+from core.robot.robot import Array, positive
 
 #: Text for a deflection that is not finite.
 _CAUSE = "; the force or the joints are not"
@@ -58,8 +58,7 @@ class RateFilter:
     gain: tuple[float, float] = field(init=False)  #: Kalman gains for value [1] and rate [1/s]
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.period) and self.period > 0.0):
-            raise DescriptionError(f"filter period {self.period:g} s must be finite and greater than 0")
+        positive("filter period", self.period, "s")
         nyquist = 0.5 / self.period
         if not 0.0 < self.bandwidth < nyquist:
             raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
@@ -182,8 +181,7 @@ class Observer:
             ("period", self.period, "s"), ("noise", self.noise, "m"), ("bandwidth", self.bandwidth, "Hz"),
             ("gate", self.gate, "standard deviations"), ("longest_age", self.longest_age, "s"),
         ):  # fmt: skip
-            if not (math.isfinite(value) and value > 0.0):
-                raise DescriptionError(f"observer: {name} {value:g} {unit} must be finite and greater than 0")
+            positive(f"observer: {name}", value, unit)
 
     @cached_property
     def wander(self) -> float:

@@ -26,7 +26,7 @@ from core.control.predictor import TargetState
 from core.control.tip_direction import shortest_rotation
 from core.control.trajectories import Setpoint, rotated
 from core.errors import DescriptionError
-from core.robot.robot import Array
+from core.robot.robot import Array, positive
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,7 @@ class MotionBounds:
 
     def __post_init__(self) -> None:
         for name, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s^2"), ("rate", "1/s")):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise DescriptionError(f"pursuit: {name} {value:g} {unit} must be finite and greater than 0")
+            positive(f"pursuit: {name}", getattr(self, name), unit)
         if not 0.0 < self.braking <= 1.0:
             raise DescriptionError(f"pursuit: braking {self.braking:g} must be greater than 0 and at most 1")
         if not self.reach > 0.0:

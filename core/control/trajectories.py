@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from core.errors import DescriptionError
-from core.robot.robot import Array
+from core.robot.robot import Array, positive
 
 ZERO_VELOCITY = np.zeros(3)
 
@@ -104,10 +104,7 @@ class Directions:
 class Hold:
     """Trajectory that stays at the start tip (regulation)."""
 
-    @property
-    def period(self) -> float:
-        """Period 0 [s], because the tip never moves."""
-        return 0.0
+    period = 0.0  #: [s]; the tip never moves
 
     def setpoint(self, time: float) -> Setpoint:  # noqa: ARG002 - the same at any time
         """Return offset zero at any time."""
@@ -120,17 +117,13 @@ class Step:
 
     offset: tuple[float, float, float]  #: offset of the other position from the start tip [m]
     stay: float = math.inf  #: time that the setpoint stays at either position [s]
+    period = 0.0  #: [s]; the setpoint is at rest except for single jumps
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(part) for part in self.offset):
             raise DescriptionError(f"step: offset {self.offset} m is not finite")
         if not self.stay > 0.0:
             raise DescriptionError(f"step: stay {self.stay:g} s must be greater than 0")
-
-    @property
-    def period(self) -> float:
-        """Period 0 [s], because the setpoint is at rest except for single jumps."""
-        return 0.0
 
     def setpoint(self, time: float) -> Setpoint:
         """Return the start tip or the other position, depending on `time` [s]; the velocity is zero."""
@@ -147,8 +140,8 @@ class Sinusoid:
     frequency: float  #: number of oscillations per second [Hz]
 
     def __post_init__(self) -> None:
-        _positive("sinusoid", self.amplitude, "amplitude", "m")
-        _positive("sinusoid", self.frequency, "frequency", "Hz")
+        positive("sinusoid: amplitude", self.amplitude, "m")
+        positive("sinusoid: frequency", self.frequency, "Hz")
         _unit("sinusoid", self.direction)
 
     @property
@@ -177,8 +170,8 @@ class Circle:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the circle's axis
 
     def __post_init__(self) -> None:
-        _positive("circle", self.radius, "radius", "m")
-        _positive("circle", self.period, "period", "s")
+        positive("circle: radius", self.radius, "m")
+        positive("circle: period", self.period, "s")
         _unit("circle", self.normal)
 
     @cached_property
@@ -207,9 +200,9 @@ class Helix:
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the helix's axis
 
     def __post_init__(self) -> None:
-        _positive("helix", self.radius, "radius", "m")
-        _positive("helix", self.turn, "turn", "s")
-        _positive("helix", self.turns, "turns", "")
+        positive("helix: radius", self.radius, "m")
+        positive("helix: turn", self.turn, "s")
+        positive("helix: turns", self.turns, "")
         if not math.isfinite(self.pitch):
             raise DescriptionError(f"helix: pitch {self.pitch:g} m is not finite")
         _unit("helix", self.axis)
@@ -251,8 +244,8 @@ class Waypoints:
     max_acceleration: float = 0.1  #: largest accepted acceleration of the tip [m/s^2]
 
     def __post_init__(self) -> None:
-        _positive("waypoints", self.max_speed, "max_speed", "m/s")
-        _positive("waypoints", self.max_acceleration, "max_acceleration", "m/s^2")
+        positive("waypoints: max_speed", self.max_speed, "m/s")
+        positive("waypoints: max_acceleration", self.max_acceleration, "m/s^2")
         if not self.times or len(self.times) != len(self.places):
             raise DescriptionError(f"waypoints: {len(self.times)} times and {len(self.places)} places; give one each")
         for number, (time, point) in enumerate(zip(self.times, self.places, strict=True), 1):
@@ -329,11 +322,6 @@ class Waypoints:
         since = max(time, 0.0) - knots[piece]
         c3, c2, c1, c0 = pieces[piece]
         return Setpoint(((c3 * since + c2) * since + c1) * since + c0, (3.0 * c3 * since + 2.0 * c2) * since + c1)
-
-
-def _positive(what: str, value: float, name: str, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise DescriptionError(f"{what}: {name} {value:g} {unit} must be finite and greater than 0")
 
 
 def _cross(a: Array, b: Array) -> Array:

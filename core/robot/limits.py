@@ -16,7 +16,7 @@ import numpy as np
 from core.compiled import compiled
 from core.contract import name_of, numbers, pair, result_of
 from core.errors import ContractError, DescriptionError, PoseError
-from core.robot.robot import FLUSH_TOLERANCE_M, Array, Robot
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Robot, positive
 
 #: Time constant with which the robot approaches a limit [s]; it is several times the delay of the stages.
 BRAKING_TIME_CONSTANT_S = 0.25
@@ -115,21 +115,14 @@ class Limits:
             raise DescriptionError(f"reaction time {self.reaction:g} s must be finite and at least 0")
 
     @cached_property
-    def _arrays(self) -> tuple[Array, Array, Array, Array]:
-        rows = [(j.lower, j.upper, j.speed, j.acceleration) for j in self.joints]
-        lower, upper, speed, acceleration = np.array(rows).T.copy()
-        return lower, upper, speed, acceleration
-
-    @cached_property
     def packed(self) -> Array:
         """Rows (5, n): lower and upper end of travel, top speed, acceleration, and reaction time [SI units]."""
-        last = np.full(len(self.joints), self.reaction)
-        return np.stack((*self._arrays, last))
+        return np.array([(j.lower, j.upper, j.speed, j.acceleration, self.reaction) for j in self.joints]).T.copy()
 
     @property
     def speed(self) -> Array:
         """Top speeds of the joints (n,) [rad/s or m/s]."""
-        return self._arrays[2]
+        return self.packed[2]
 
     @cached_property
     def order(self) -> tuple[Array, Array]:
@@ -309,8 +302,7 @@ class ForceLimit:
 
     def __post_init__(self) -> None:
         for name, value, unit in (("max_force", self.max_force, "N"), ("speed", self.speed, "m/s")):
-            if not (math.isfinite(value) and value > 0.0):
-                raise DescriptionError(f"force limit: {name} {value:g} {unit} must be finite and greater than 0")
+            positive(f"force limit: {name}", value, unit)
 
     @property
     def names(self) -> tuple[str, ...]:
