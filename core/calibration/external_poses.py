@@ -29,9 +29,9 @@ from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Lag, NoEquilibrium, Prediction, predict
 from core.calibration.quantities import Quantity, quantities
 from core.calibration.registration import closed_form
+from core.calibration.residual import Windup, relative_rotations, turned_tubes
 from core.calibration.rigid_transform import RigidTransform, cross_matrix
 from core.calibration.tubes import MIN_LOADED_MEASUREMENTS
-from core.calibration.windup import Windup, relative_rotations, turned_tubes
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 

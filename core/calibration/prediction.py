@@ -27,8 +27,8 @@ import numpy as np
 from core.calibration.fit import Parameter
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.quantities import Quantity, with_changes
+from core.calibration.residual import EXPECTED_HALF_LAG_RAD, Windup, turned_tubes, wind_ups
 from core.calibration.rigid_transform import RigidTransform, rotation_from_vector
-from core.calibration.windup import EXPECTED_HALF_LAG_RAD, Windup, turned_tubes, wind_ups
 from core.errors import NoSolution
 from core.model.batch import Solutions, solve_many
 from core.model.statics import Statics

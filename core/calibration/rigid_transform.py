@@ -74,3 +74,40 @@ def kabsch(here: Array, there: Array) -> RigidTransform:
     mirror = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(vt.T @ u.T)))])
     rotation = vt.T @ mirror @ u.T
     return RigidTransform(rotation, centre_there - rotation @ centre_here)
+
+
+#: Largest plausible angle between the coil's axis and the tip's axis [rad]; beyond this angle the mounting is wrong.
+MAX_MISALIGNMENT_RAD = math.radians(45.0)
+COIL_HINT = "the coil is mounted backwards, or the reported joint positions are wrong"
+#: Largest accepted spread of the axis over single poses [rad]; beyond this spread the model's error dominates.
+MAX_SPREAD_RAD = math.radians(2.0)
+MODEL_HINT = "the model does not bend like the robot"
+
+
+class CoilAxis(NamedTuple):
+    """The estimated axis of the coil."""
+
+    direction: Array  #: (3,) unit vector in the frame of the innermost tube's tip
+    spread: float  #: root mean square deviation of single poses, per perpendicular axis [rad]
+    refused: str = ""  #: reason why the result must not be used; empty if the result may be used
+
+    @property
+    def misalignment(self) -> float:
+        """Angle between the coil's axis and the tip's axis [rad]."""
+        return math.atan2(math.hypot(self.direction[0], self.direction[1]), self.direction[2])
+
+
+def coil_axis(turns: Array, measured: Array) -> CoilAxis:
+    """Estimate the coil axis from tip frames (m, 3, 3) and measured coil axes (m, 3) of m poses, robot's frame."""
+    there = np.einsum("mji,mj->mi", turns, measured)
+    there /= np.linalg.norm(there, axis=1, keepdims=True)
+    mean = there.mean(axis=0)
+    direction = mean / float(np.linalg.norm(mean))
+    across = there - (there @ direction)[:, None] * direction
+    spread = math.sqrt(float(np.sum(across**2)) / (2.0 * max(len(there) - 1, 1)))
+    found = CoilAxis(direction, spread)
+    if found.misalignment > MAX_MISALIGNMENT_RAD:
+        return found._replace(refused=f"more than {math.degrees(MAX_MISALIGNMENT_RAD):.0f} deg: {COIL_HINT}")
+    if spread > MAX_SPREAD_RAD:
+        return found._replace(refused=f"single poses deviate by {math.degrees(spread):.1f} deg: {MODEL_HINT}")
+    return found

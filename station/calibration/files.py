@@ -3,6 +3,7 @@
 Values are SI; intervals are 95 %. `station.control.bench_calibration` reads the files back.
 """
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,17 +11,38 @@ from typing import Any
 
 import numpy as np
 
-from core.calibration.coil_axis import CoilAxis
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration
 from core.calibration.prediction import Frames
-from core.calibration.rigid_transform import RigidTransform, vector_from_rotation
+from core.calibration.rigid_transform import CoilAxis, RigidTransform, vector_from_rotation
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import FORMAT, ConfigError, Strict, toml_lines, toml_string
 from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
 from station.devices.aurora.tracker import TrackerMounting
+
+#: File names of the measurements, the numbers and the report.
+VISITS_FILE, REPORT_NUMBERS_FILE, REPORT_FILE = "visits.json", "report.json", "report.html"
+
+
+def new_folder(out: Path, name: str) -> Path:
+    """Create a new folder in `out`; a number is appended if the name exists.
+
+    Raises:
+        ConfigError: `out` cannot be written to.
+    """
+    number = 1
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        while True:
+            path = out / (name if number == 1 else f"{name}-{number}")
+            with contextlib.suppress(FileExistsError):
+                path.mkdir()
+                return path
+            number += 1
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot write results there: {error.strerror}") from None
 
 
 def carry_over(known: Path, folder: Path) -> list[Path]:

@@ -8,8 +8,16 @@ import numpy as np
 from core.calibration.measurements import Measurement
 from core.robot.robot import Array
 from station.calibration.plan import PlanSubject
-from station.calibration.procedure import AbortedError, GuidedProcedure, OperatorPrompt, Procedure, StoppedByHandError
-from station.calibration.visiting import SWING_DECAY_S, measurement_of, task
+from station.calibration.procedure import (
+    SWING_DECAY_S,
+    AbortedError,
+    GuidedProcedure,
+    OperatorPrompt,
+    Procedure,
+    StoppedByHandError,
+    measurement_of,
+    task,
+)
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.loads import ConstantLoad, Load, NoLoad
 from station.control.clock import Clock

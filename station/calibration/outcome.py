@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from station.calibration import files, summary
-from station.calibration.folder import REPORT_NUMBERS_FILE, VISITS_FILE
+from station.calibration.files import REPORT_NUMBERS_FILE, VISITS_FILE
 from station.calibration.plan import PlanSubject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result

@@ -15,7 +15,7 @@ import numpy as np
 
 from core.calibration.external_poses import arrival_directions
 from core.calibration.measurements import Measurement
-from core.calibration.windup import paths
+from core.calibration.residual import paths
 from core.errors import CtrError
 from core.model.solution import pure_force
 from core.model.statics import Statics

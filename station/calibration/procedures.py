@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.calibration.coil_axis import CoilAxis, coil_axis
 from core.calibration.force import SensorCalibration, WeightCheck, calibrate_sensors, check_weight
 from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames, predict
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
+from core.calibration.rigid_transform import CoilAxis, coil_axis
 from core.calibration.tubes import HeldOutErrors, TubeCalibration, calibrate_tubes, held_out_errors
 from core.model.batch import Solutions, solve_many
 from core.robot.robot import Array, Robot

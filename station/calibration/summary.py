@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.calibration.coil_axis import CoilAxis
 from core.calibration.fit import Fit
 from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames
-from core.calibration.rigid_transform import vector_from_rotation
+from core.calibration.rigid_transform import CoilAxis, vector_from_rotation
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.calibration.commission import AxesResult, LatencyResult

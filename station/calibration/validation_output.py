@@ -15,8 +15,8 @@ from rich.text import Text
 from core.calibration.external_poses import ErrorStatistics, PoseFit
 from core.calibration.rigid_transform import vector_from_rotation
 from station.calibration import files
+from station.calibration.files import REPORT_NUMBERS_FILE
 from station.calibration.findings import findings, undetermined_parameters
-from station.calibration.folder import REPORT_NUMBERS_FILE
 from station.calibration.poses import Poses, recorded
 from station.calibration.validation import ErrorBin, Validation, by_direction, by_joint, calibration, found_rows
 from station.calibration.validation_report import ERROR_HEAD, FOUND_HEAD, error_rows, page_parts

@@ -6,6 +6,7 @@ Planning and fits take seconds of processor time. In the station process they wo
 import contextlib
 import os
 import signal
+import time
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +18,8 @@ from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import PlanSubject
 from station.calibration.procedure import AbortedError, Answer, GuidedProcedure, Step, SwingRecord
 from station.config.robots import RobotFile
-from station.control.realtime import set_process_name
+from station.control.child_process import ChildProcess
+from station.control.realtime import processor_time, set_process_name
 from station.devices.aurora.tracker import TrackerMounting
 
 #: Niceness of the worker process, which gives it a lower priority than all processes with deadlines.
@@ -81,3 +83,64 @@ def _run_procedure(job: CalibrationJob, pipe: Connection) -> None:
     provenance = Provenance(job.what, job.when, job.bench, job.seed, time, job.simulated)
     write_all(job.folder, guided.result, subject, provenance, job.assumed, job.known)
     pipe.send(JobFinished())
+
+
+#: Time without processor use after which a computing worker counts as stalled [s]. A signal or a lack of memory can
+#: stall it.
+STALLED_S = 30.0
+
+
+class FailedError(CtrError):
+    """Error of a procedure that has no result; the text has the reason."""
+
+
+class WorkerHost:
+    """Owner of one worker process."""
+
+    def __init__(self, job: CalibrationJob, stalled: float = STALLED_S) -> None:
+        """Start the worker, which takes a while to send its first step.
+
+        `stalled`: time without processor use after which the worker counts as stalled [s].
+        """
+        self._child = ChildProcess(run_worker, job, name="calibration")
+        self._stalled, self._used, self._since = stalled, -1.0, time.monotonic()
+
+    def receive(self, timeout: float) -> Step | JobFinished | None:
+        """Return the next step, or `JobFinished`; None if neither arrives within `timeout` [s].
+
+        Raises:
+            FailedError: the procedure has failed and has no result.
+            AbortedError: the process has ended or is stalled.
+        """
+        try:
+            if not self._child.pipe.poll(timeout):
+                self._check_progress()
+                return None
+            message: WorkerMessage = self._child.pipe.recv()
+        except (EOFError, OSError):
+            raise AbortedError(f"the process that plans and computes has ended {self._child.ended()}") from None
+        if isinstance(message, JobFailed):
+            raise FailedError(message.reason)
+        return message
+
+    def answer(self, answer: Answer) -> None:
+        """Send the answer to the current step."""
+        self._since = time.monotonic()  # count the time from now, because the worker had nothing to compute before
+        self._child.send(answer)  # if the process has ended, `receive` reports it
+
+    def close(self) -> None:
+        """Kill the process; SIGTERM would not end a process that is stopped by a signal."""
+        self._child.kill()
+        self._child.ended()
+        self._child.pipe.close()
+
+    def _check_progress(self) -> None:
+        """Raise AbortedError when the worker process has used no processor time for longer than `stalled`."""
+        used, now = processor_time(self._child.pid), time.monotonic()
+        if used is None or used != self._used:
+            self._used, self._since = used or 0.0, now
+        elif now - self._since > self._stalled:
+            raise AbortedError(
+                f"the process that plans and computes (pid {self._child.pid}) has used no processor time for"
+                f" {self._stalled:g} s: it is stopped, or memory is short; start the procedure again"
+            )

@@ -70,7 +70,7 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     parsed.out = result_folder(parsed, "calibrations")
     if parsed.poses is not None or parsed.hysteresis:
         return _from_poses(parsed)
-    from station.calibration.folder import new_folder
+    from station.calibration.files import new_folder
     from station.calibration.outcome import Provenance, write_all
     from station.calibration.plan import PlanSubject
     from station.calibration.procedure import StoppedByHandError

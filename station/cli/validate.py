@@ -58,7 +58,7 @@ def run_validation(parsed: argparse.Namespace, fit: Any, robot: str, what: str, 
 
     `parsed` has the options `poses`, `test`, `hysteresis`, `out` and `json`.
     """
-    from station.calibration.folder import new_folder
+    from station.calibration.files import new_folder
     from station.calibration.poses import read_poses
     from station.calibration.validation import validate
     from station.calibration.validation_output import sentences, tables

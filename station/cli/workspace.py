@@ -37,7 +37,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 def _workspace(parsed: argparse.Namespace) -> int:
     import numpy as np
 
-    from station.calibration.folder import new_folder
+    from station.calibration.files import new_folder
     from station.config.robots import load_robot
     from station.design.workspace import summary, workspace
     from station.design.workspace_report import sentences, table, write_workspace

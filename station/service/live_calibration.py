@@ -19,11 +19,20 @@ from pydantic import computed_field
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
-from station.calibration.folder import new_folder
-from station.calibration.procedure import AbortedError, Answer, GoToPose, OperatorPrompt, Step, SwingRecord
-from station.calibration.visiting import SWING_DECAY_S, measurement_of, rest_orders, task
-from station.calibration.worker import CalibrationJob, JobFinished
-from station.calibration.worker_host import WorkerHost
+from station.calibration.files import new_folder
+from station.calibration.procedure import (
+    SWING_DECAY_S,
+    AbortedError,
+    Answer,
+    GoToPose,
+    OperatorPrompt,
+    Step,
+    SwingRecord,
+    measurement_of,
+    rest_orders,
+    task,
+)
+from station.calibration.worker import CalibrationJob, JobFinished, WorkerHost
 from station.config.loads import ConstantLoad, NoLoad
 from station.config.strict import Strict, check
 from station.control.states import RefusedError, State

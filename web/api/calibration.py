@@ -10,9 +10,15 @@ from pydantic import ConfigDict, Field, model_validator
 from starlette.exceptions import HTTPException
 
 from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
-from station.calibration.exchange import CheckItem, connection_checklist
-from station.calibration.folder import REPORT_FILE
-from station.calibration.results import CalibrationUse, NoResultError, Results, StoredCalibration
+from station.calibration.files import REPORT_FILE
+from station.calibration.results import (
+    CalibrationUse,
+    CheckItem,
+    NoResultError,
+    Results,
+    StoredCalibration,
+    connection_checklist,
+)
 from station.config.robots import load_robot, robot_of
 from station.config.strict import Strict, preset_names
 from station.service.live_calibration import LiveCalibration, SessionReport

@@ -14,7 +14,7 @@ from station.calibration.catalogue import start_procedure
 from station.calibration.files import carry_over
 from station.calibration.outcome import Provenance, write_all
 from station.calibration.plan import PlanSubject
-from station.calibration.results import NoResultError, Results
+from station.calibration.results import NoResultError, Results, connection_checklist
 from station.calibration.static_lab import StaticLab, run_static
 from station.control.bench_calibration import BenchCalibration
 from station.lab.config import load_lab
@@ -130,3 +130,31 @@ def test_results_of_a_real_bench_are_not_marked_simulated(tmp_path, paper):
         text = (tmp_path / "one" / name).read_text(encoding="utf-8")
         assert "simulated devices" not in text
         assert "seed" not in text or name == "report.json"
+
+
+def procedures(before, now) -> list[str]:
+    return [todo.procedure for todo in connection_checklist(before, now) if todo.procedure]
+
+
+def test_reinserted_tubes_need_the_procedure_tracker(paper):
+    assert procedures(paper, paper) == ["tracker"]
+
+
+def test_tubes_of_another_stiffness_need_the_procedure_tubes(paper):
+    stiffer = paper.tubes[0].model_copy(update={"bending_stiffness": 0.05})
+
+    assert procedures(paper, paper.model_copy(update={"tubes": (stiffer, paper.tubes[1])})) == ["tubes"]
+
+
+def test_changed_stages_need_the_procedures_axes_and_latency(paper):
+    coarse = paper.joints[0].model_copy(update={"microstep": 1e-5})
+    other = paper.model_copy(update={"joints": (coarse, *paper.joints[1:])})
+
+    assert procedures(paper, other) == ["axes", "latency", "tracker"]
+
+
+def test_manual_tasks_precede_procedures_in_the_checklist(paper):
+    todo = connection_checklist(paper, paper)
+
+    assert [bool(each.procedure) for each in todo] == sorted(bool(each.procedure) for each in todo)
+    assert "power off" in todo[0].text

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.calibration.folder import new_folder
+from station.calibration.files import new_folder
 from station.config.strict import ConfigError
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.service.live_calibration import LiveCalibration, assumed_mount

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from station.calibration.procedure import AbortedError
-from station.calibration.worker import CalibrationJob
-from station.calibration.worker_host import WorkerHost
+from station.calibration.worker import CalibrationJob, WorkerHost
 from station.lab.aurora_coil import GENERATOR_POSE
 
 

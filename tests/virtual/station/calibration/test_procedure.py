@@ -10,8 +10,7 @@ import pytest
 
 from core.control.sensors import Corrections, Sensors
 from core.control.step import Controller
-from station.calibration.procedure import AbortedError, GoToPose, SwingMotion
-from station.calibration.visiting import measurement_of, task
+from station.calibration.procedure import AbortedError, GoToPose, SwingMotion, measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.loads import ConstantLoad
 from station.control.loop import ControlLoop

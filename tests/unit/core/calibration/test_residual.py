@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from core.calibration.residual import residual
-from core.calibration.windup import PATH_POSES, paths, turned_tubes, wind_ups
+from core.calibration.residual import PATH_POSES, paths, residual, turned_tubes, wind_ups
 from station.config.robots import load_robot
 
 HALF_LAGS = np.array([0.08, 0.0])
