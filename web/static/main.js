@@ -1,13 +1,12 @@
-// Entry point of the page. STOP, header and scene load first and independently; then each tab separately.
-import "./stop.js";
-import "./operator.js";
-import "./header.js";
-import "./scene.js";
-import { note, start } from "./station.js";
-import { lastTab, openTab } from "./tabs.js";
+// Entry point of the page. STOP, header and scene load first and independently; then the modules of each tab separately.
+import "./page/stop.js";
+import "./page/header.js";
+import "./scene/scene.js";
+import { note, start } from "./page/station.js";
+import { lastTab, openTab } from "./page/tabs.js";
 
 openTab(lastTab());
 start();
-for (const module of ["strip", "run", "jog", "pad", "keys", "goto", "devices", "plots", "runs", "calibrate", "faults"]) {
-  import(`./${module}.js`).catch((error) => note(`'${module}' could not be loaded (${error.message}); reload the page`));
+for (const path of ["page/strip", "run/run", "jog/jog", "jog/hands", "devices/devices", "plots/plots", "runs/runs", "calibrate/calibrate", "faults/faults"]) {
+  import(`./${path}.js`).catch((error) => note(`'${path.split("/")[1]}' could not be loaded (${error.message}); reload the page`));
 }

@@ -87,7 +87,7 @@ def test_refusal_on_the_page_shows_the_button_that_resolves_it(
 
 
 def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Page) -> None:
-    first = "import('/static/history.js').then((history) => history.samples[0]?.time ?? null)"
+    first = "import('/static/page/telemetry.js').then((telemetry) => telemetry.samples[0]?.time ?? null)"
     page.locator("#tab-plots").click()
     page.wait_for_function(f"() => {first}")
     before = page.evaluate(first)
@@ -96,7 +96,7 @@ def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: 
     assert page.locator("#plots").is_visible()
     assert page.evaluate(first) == pytest.approx(before, abs=1e-6)
     page.wait_for_function(
-        f"() => import('/static/history.js').then(({{samples}}) => samples.at(-1).time > {before} + 1)"
+        f"() => import('/static/page/telemetry.js').then(({{samples}}) => samples.at(-1).time > {before} + 1)"
     )
 
 

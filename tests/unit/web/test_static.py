@@ -8,7 +8,7 @@ from starlette.testclient import TestClient
 
 import web
 
-MODULES = sorted((Path(web.__file__).parent / "static").glob("*.js")) if web.__file__ else []
+MODULES = sorted((Path(web.__file__).parent / "static").rglob("*.js")) if web.__file__ else []
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda path: path.name)

@@ -1,0 +1,77 @@
+// Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
+import { $, button, latest, make, mayCommand, note, onStatus, request, sendCommand, unit } from "../page/station.js";
+import { home } from "../page/header.js";
+import { poll } from "../page/tabs.js";
+import { jogWhileHeld, mayJog } from "../jog/jog.js";
+
+const rig = await request("GET", "/api/rig");
+
+const buttons = {
+  connect: button("Connect", () => sendCommand("POST", "/api/connect", {})),
+  home: button("Home…", home),
+  tare: button("Zero the force sensors", async () => { if (await sendCommand("POST", "/api/tare", {})) note("the force sensors now read zero", true); }),
+};
+const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
+const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
+$("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), list,
+  make("h3", {}, "Does every axis turn in the right direction?"),
+  make("p", { className: "small dim" }, "Hold a button for a second or two: the joint moves slowly in its positive direction. The tracker's motion is compared with the model's."),
+  joints, make("h3", {}, "Raw values"), raw);
+
+// ---- axis signs
+
+/** Speed of an axis while its sign is checked [rad/s, m/s]: slow enough to stop in time, but clearly above the noise. */
+const CHECK_SPEED = { rad: 0.06, m: 0.002 }, MIN_MOTION_M = 0.8e-3; // smallest motion of the model's tip that the check needs
+
+function addAxisCheck(joint, index) {
+  const control = make("button", { type: "button", className: "hold" }, `${joint.name.replaceAll("_", " ")} +`);
+  const verdict = make("span", { className: "small dim" }, "not checked");
+  let startStatus = null; // status at the start of the check; a check that was too short continues from it
+  for (const type of ["pointerdown", "keydown"]) control.addEventListener(type, () => { startStatus ??= latest(); });
+  jogWhileHeld(control, "joints", () => rig.joints.map((_, i) => (i === index ? CHECK_SPEED[joint.unit] : 0)), async () => {
+    await new Promise((resolve) => setTimeout(resolve, 400)); // wait until the tracker, which has a delay, has measured the final position
+    const start = startStatus, end = latest();
+    if (start === null || end === null) return;
+    if ([start, end].some((one) => one.tip_measured === null || one.tip_estimated === null)) {
+      verdict.textContent = "the tip is not measured now: check the tracker, then hold the button again";
+      startStatus = null;
+      return;
+    }
+    const moved = (key) => end[key].map((x, i) => x - start[key][i]);
+    const measured = moved("tip_measured"), expected = moved("tip_estimated");
+    const dot = measured.reduce((sum, x, i) => sum + x * expected[i], 0), size = Math.hypot(...measured), model = Math.hypot(...expected);
+    const [unitText, scale] = unit(joint.unit);
+    const result = `${((end.joints[joint.name] - start.joints[joint.name]) * scale).toFixed(1)} ${unitText}: tip ${(1e3 * size).toFixed(1)} mm, model ${(1e3 * model).toFixed(1)} mm`;
+    if (model >= MIN_MOTION_M) startStatus = null;
+    verdict.textContent = model < MIN_MOTION_M ? `${result}; hold longer, or bend the tubes first`
+      : dot > 0.7 * size * model ? `✓ right direction (${result})` : `✗ not as the model expects (${result}): check the sign of this axis, its wiring and the tracker's frame`;
+  });
+  onStatus((status, stale) => { control.disabled = !mayJog(status, stale); });
+  joints.append(control, verdict, make("span"));
+}
+rig.joints.forEach(addAxisCheck);
+
+// ---- lists
+
+const valueText = (value) => value !== null && typeof value === "object"
+  ? Object.entries(value).map(([key, one]) => `${key} ${valueText(one)}`).join(", ") : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value);
+
+function device(one) {
+  const light = make("i", { className: "light", "data-severity": one.condition === "connected" ? one.severity : Math.max(1, one.severity), style: "display:inline-block" });
+  const rows = Object.entries(one.details).map(([key, value]) => make("tr", {}, make("td", {}, key.replaceAll("_", " ")), make("td", { className: "any" }, valueText(value))));
+  const details = make("details", { open: opened.has(one.name) }, make("summary", {}, "details"), make("table", {}, ...rows));
+  details.addEventListener("toggle", () => { if (details.open) opened.add(one.name); else opened.delete(one.name); });
+  return make("fieldset", {}, make("legend", {}, one.name), make("div", {}, light, " ", make("b", {}, one.condition), " ", one.text), details);
+}
+const opened = new Set();
+
+poll("devices", "/api/devices", 500, (all) => {
+  list.replaceChildren(...all.devices.map(device));
+  raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
+});
+onStatus((status, stale) => {
+  for (const [name, control] of Object.entries(buttons)) {
+    control.disabled = stale || status === null || !ALLOWED[name].includes(status.state) || !mayCommand(status);
+    control.title = control.disabled ? `possible while ${ALLOWED[name].join(" or ")}, for the operator` : "";
+  }
+});

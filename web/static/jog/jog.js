@@ -1,0 +1,178 @@
+// Jog: the robot moves only while a button is held; and motion to a joint pose by numbers. Each jog command expires after
+// 0.3 s, so the robot also stops when the page is lost.
+import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, tidy, unit, Refused } from "../page/station.js";
+import { showReason } from "../page/header.js";
+import { onTab } from "../page/tabs.js";
+import { poseText, row } from "../page/form.js";
+
+const REPEAT_MS = 100; // interval between two jog commands [ms]
+let active = null;
+
+/** Return whether a jog may start or continue. */
+export const mayJog = (status, stale) => status !== null && !stale && mayCommand(status)
+  && (status.state === "READY" || status.phase === "jogging");
+
+/**
+ * Jog until `release()` is called, and mark the element `shown` as active; `velocity()` returns the velocity in SI. No
+ * effect while another jog is active.
+ */
+export function startJogging(shown, space, velocity, ended = () => {}) {
+  if (active !== null) return;
+  const jog = active = { shown, space, running: true, zero: velocity().map(() => 0), ended };
+  shown.classList.add("held");
+  repeat(jog, velocity);
+}
+export const isHeld = (shown) => active?.shown === shown;
+
+/** Jog while `control` is held; `velocity()` returns the velocity in SI. The check of the axes' signs also calls this. */
+export function jogWhileHeld(control, space, velocity, ended = () => {}) {
+  const startJog = (event) => {
+    if (active !== null || control.disabled) return;
+    event.preventDefault();
+    if (event.pointerId !== undefined) control.setPointerCapture(event.pointerId);
+    startJogging(control, space, velocity, ended);
+  };
+  control.addEventListener("pointerdown", (event) => { if (event.button === 0) startJog(event); });
+  for (const type of ["pointerup", "pointercancel", "lostpointercapture", "blur", "contextmenu"]) control.addEventListener(type, release);
+  // A captured pointer sends no leave event, so its position is compared with the control's.
+  control.addEventListener("pointermove", (event) => {
+    if (!isHeld(control)) return;
+    const box = control.getBoundingClientRect();
+    if (event.clientX < box.left || event.clientX > box.right || event.clientY < box.top || event.clientY > box.bottom) release();
+  });
+  control.addEventListener("keydown", (event) => {
+    if ((event.code === "Space" || event.code === "Enter") && !event.shiftKey && !event.repeat) startJog(event);
+  });
+  control.addEventListener("keyup", (event) => { event.preventDefault(); release(); });
+}
+
+async function repeat(jog, velocity) {
+  try {
+    while (jog.running) {
+      const sentAt = performance.now();
+      await request("POST", "/api/jog", { space: jog.space, velocity: velocity() }, 1000);
+      await new Promise((resolve) => setTimeout(resolve, Math.max(0, REPEAT_MS - (performance.now() - sentAt))));
+    }
+    // The zero velocity is sent after the last answer, so that no earlier jog command arrives later.
+    await request("POST", "/api/jog", { space: jog.space, velocity: jog.zero }, 1000);
+  } catch (error) {
+    release();
+    note(error instanceof Refused ? error.message : `jog: the station does not answer (${error.message}); the robot stops by itself`);
+  }
+  jog.ended();
+}
+
+export function release() {
+  if (active === null) return;
+  active.running = false;
+  active.shown.classList.remove("held");
+  active = null;
+}
+window.addEventListener("blur", release);
+window.addEventListener("pagehide", release);
+document.addEventListener("visibilitychange", () => { if (document.hidden) release(); });
+document.addEventListener("keydown", (event) => { if (event.key === "Escape") release(); });
+
+/** Return a slider for a speed up to `maximum`, in the SI unit `si`: {elements, value() in SI}. */
+export function speed(label, si, maximum, initial) {
+  const [shown, scale] = unit(si), output = make("output");
+  const slider = make("input", { type: "range", min: 0.02, max: 1, step: 0.02, value: initial, "aria-label": label });
+  const value = () => Number(slider.value) * maximum;
+  const show = () => { output.textContent = `${tidy(Number((value() * scale).toPrecision(2)))} ${shown}`; };
+  slider.addEventListener("input", show);
+  show();
+  return { elements: [make("label", {}, label), slider, output], value };
+}
+
+// ---- buttons of the joints and of the tip
+
+const SIGNS = [[-1, "−", "minus"], [1, "+", "plus"]];
+const controls = [];
+
+function axisRow(label, count, index, space, value, shown) {
+  const pair = SIGNS.map(([sign, text, word]) => {
+    const control = make("button", { type: "button", className: "hold", "aria-label": `${label} ${word}: hold to move` }, text);
+    jogWhileHeld(control, space, () => Array.from({ length: count }, (_, i) => (i === index ? sign * value() : 0)));
+    controls.push(control);
+    return control;
+  });
+  const current = make("span", { className: "dim live" });
+  onStatus((status) => { if (status !== null && !$("jog").hidden) current.textContent = shown(status); });
+  return [make("div", {}, make("div", {}, label.replaceAll("_", " ")), current), ...pair];
+}
+
+const jointText = (joint, status) => {
+  const [shown, scale] = unit(joint.unit), value = status.joints[joint.name];
+  return value === undefined ? "" : status.tip_estimated === null ? "unknown" : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
+};
+
+const rig = await request("GET", "/api/rig");
+const topSpeed = (motion) => Math.min(...rig.joints.filter((one) => one.motion === motion).map((one) => one.speed));
+const turning = speed("turn at", "rad/s", topSpeed("rotation"), 0.26);
+const sliding = speed("slide at", "m/s", topSpeed("translation"), 0.26);
+const tip = speed("tip at", "m/s", rig.tip_speed, 0.3);
+const reason = make("p", { className: "small" });
+
+/** Return a group of fields with its hint, its sliders and its rows of buttons. */
+const group = (title, hint, sliders, rows) => make("fieldset", {}, make("legend", {}, title), hint && make("p", { className: "small dim" }, hint),
+  make("div", { className: "rows" }, ...sliders.flatMap((slider) => slider.elements)), make("div", { className: "jog", style: "margin-top:10px" }, ...rows.flat()));
+
+$("jog").append(
+  make("p", {}, "The robot moves while a button is held, with the pointer or Space."), reason,
+  group("Joints", null, [turning, sliding], rig.joints.map((joint, i) =>
+    axisRow(joint.name, rig.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => jointText(joint, status)))),
+  group("Tip, world frame", "x points down, along gravity; z points along the tubes when they are straight", [tip], ["x", "y", "z"].map((name, i) =>
+    axisRow(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`)))),
+);
+if (rig.turn_speed !== null) {
+  const turnRate = speed("turn at", "rad/s", rig.turn_speed, 0.3);
+  $("jog").append(group("Direction of the tip", "about an axis of the world frame; the tip keeps its position", [turnRate],
+    ["x", "y", "z"].map((name, i) => axisRow(`turn about ${name}`, 3, i, "direction", turnRate.value, () => ""))));
+}
+$("jog").append(make("div", { id: "hands" }));
+onTab("jog", (open) => { if (!open) release(); });
+
+// ---- motion to a joint pose: the working pose of the robot's file, or any other
+
+const fields = rig.joints.map((joint) => {
+  const [shown, scale] = unit(joint.unit), label = joint.name.replaceAll("_", " "), [low, high] = [joint.lower * scale, joint.upper * scale];
+  const input = make("input", { type: "number", step: "any", required: true, "aria-label": `${label} to go to`, min: tidy(low), max: tidy(high) });
+  return { joint, input, scale, cells: row(label, input, `${tidy(Math.round(low))} … ${tidy(Math.round(high))} ${shown}`) };
+});
+
+const fillFields = (pose) => { for (const { joint, input, scale } of fields) if (pose?.[joint.name] !== undefined) input.value = tidy(Number((pose[joint.name] * scale).toFixed(2))); };
+const readPose = () => Object.fromEntries(fields.map(({ joint, input, scale }) => [joint.name, Number(input.value) / scale]));
+
+/** Return the motion's duration [s]: the joints move together, and the slowest one moves at half of its top speed. */
+const seconds = (pose, current) => Math.max(...rig.joints.map((joint) => Math.abs(pose[joint.name] - current[joint.name]) / (0.5 * joint.speed)));
+
+/** Go to `pose` [rad, m] after a confirmation; `body` is the request to the station. */
+export async function go(title, pose, body) {
+  const current = latest().joints;
+  if (await confirm(title, "Go",
+    make("p", {}, `All joints move at the same time, for about ${Math.ceil(seconds(pose, current))} s, to ${poseText(rig.joints, pose)}.`),
+    make("p", { className: "dim" }, `Now: ${poseText(rig.joints, current)}. Check that the path is clear. STOP works at any time.`)) && await ensureFresh())
+    await sendCommand("POST", "/api/goto", body);
+}
+
+const goButton = make("button", { type: "submit", className: "main" }, "Go there…");
+const toWorkingPose = button("Go to the working pose…", () => go("Go to the working pose?", rig.working_pose, {}),
+  { hidden: rig.working_pose === null, title: "the working pose leaves room for motions" });
+const form = make("form", {}, make("fieldset", {}, make("legend", {}, "Go to a pose"),
+  make("div", { className: "rows" }, ...fields.flatMap(({ cells }) => cells)),
+  make("div", { className: "acts" }, goButton, toWorkingPose, button("Fill in the current pose", () => fillFields(latest()?.joints)))));
+form.addEventListener("submit", (event) => {
+  event.preventDefault();
+  const pose = readPose();
+  go("Go to this pose?", pose, { joints: pose });
+});
+fillFields(rig.working_pose);
+$("jog").append(form);
+
+onStatus((status, stale) => {
+  const ready = mayJog(status, stale), mayGo = status !== null && !stale && mayCommand(status) && status.state === "READY";
+  if (!ready) release();
+  for (const control of controls) control.disabled = !ready;
+  for (const control of [goButton, toWorkingPose]) control.disabled = !mayGo;
+  if (status !== null) showReason(reason, status, ready);
+});

@@ -1,0 +1,111 @@
+// Forms built from the station's description of its requests (OpenAPI): names, units, bounds, defaults.
+// The page shows millimetres and degrees; requests use SI.
+import { request, make, tidy, unit } from "./station.js";
+
+const XYZ = ["x", "y", "z"];
+
+let description = null;
+/** The schemas of all requests, by name. */
+export const schemas = async () => (description ??= (await request("GET", "/api/openapi.json")).components.schemas);
+
+/** Format a joint pose: "outer rotation 90 °, ...". `joints` are the joints of the pose's robot. */
+export const poseText = (joints, pose) => joints.map((joint) => {
+  const [shown, scale] = unit(joint.unit);
+  return `${joint.name.replaceAll("_", " ")} ${tidy(Number((pose[joint.name] * scale).toFixed(1)))} ${shown}`;
+}).join(", ");
+
+/** Return a row of a form: label, control, unit. */
+export const row = (label, control, unitText = "", title = "") => [
+  make("label", { title }, label), control, make("span", { className: "unit", title }, unitText),
+];
+
+const named = (reference) => reference.split("/").at(-1);
+/** Return the variants of a union by their `kind`: {circle: schema, ...}. */
+export function variants(all, field) {
+  const union = field.oneOf ? field : (field.anyOf ?? []).find((one) => one.oneOf);
+  return Object.fromEntries(Object.entries(union.discriminator.mapping).map(([kind, where]) => [kind, all[named(where)]]));
+}
+
+/** Return the first paragraph of a schema's description. */
+export const sentence = (schema) => (schema.description ?? "").split("\n\n")[0].replaceAll("\n", " ");
+
+function bounds(field, scale) {
+  const low = field.minimum ?? field.exclusiveMinimum, high = field.maximum ?? field.exclusiveMaximum;
+  return { low: low === undefined ? null : low * scale, high: high === undefined ? null : high * scale,
+    open: field.exclusiveMinimum !== undefined };
+}
+
+function numberInput(field, value, scale, required, label) {
+  const { low, high } = bounds(field, scale);
+  const input = make("input", { type: "number", step: "any", required, "aria-label": label });
+  if (low !== null) input.min = tidy(low);
+  if (high !== null) input.max = tidy(high);
+  if (typeof value === "number") input.value = tidy(value * scale);
+  return input;
+}
+
+const range = ({ low, high, open }) => low === null && high === null ? ""
+  : high === null ? (open ? ` > ${tidy(low)}` : ` ≥ ${tidy(low)}`) : ` ${low === null ? "≤" : `${tidy(low)} …`} ${tidy(high)}`;
+
+/** Build one field: {elements for the grid, read() in SI}. If read() returns undefined, the request omits the field. */
+function build(key, field, value, required, choices) {
+  const optional = (field.anyOf ?? []).some((one) => one.type === "null");
+  const core = optional ? { ...field.anyOf.find((one) => one.type !== "null"), description: field.description } : field;
+  const text = (core.description ?? "").replaceAll("\n", " ");
+  const [, si = ""] = /\[([^\]]+)\]/.exec(text) ?? [];
+  const [shown, scale] = unit(si), label = key.replaceAll("_", " ");
+  const cells = (control, unitText = "") => row(label, control, unitText, text);
+  if (core.type === "boolean") {
+    const box = make("input", { type: "checkbox", checked: Boolean(value), "aria-label": label });
+    return { elements: cells(make("span", {}, box)), read: () => box.checked };
+  }
+  if (core.enum || choices) {
+    const select = make("select", { "aria-label": label }, ...(core.enum ?? choices).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+    select.value = value ?? select.options[0].value;
+    return { elements: cells(select), read: () => select.value };
+  }
+  if (core.type === "number" || core.type === "integer") {
+    const input = numberInput(core, value, scale, required && !optional, label);
+    if (optional) input.placeholder = "automatic"; // the station chooses an omitted value
+    const readValue = () => (input.value === "" ? undefined : Number(input.value) / scale);
+    return { elements: cells(input, shown + range(bounds(core, scale))), read: readValue };
+  }
+  if (core.type === "array" && core.prefixItems) {
+    const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required, `${label} ${axis}`));
+    return { elements: cells(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
+      read: () => inputs.map((input) => Number(input.value) / scale) };
+  }
+  const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
+  return { elements: cells(list, si), read: () => list.value.split(",").map(Number) };
+}
+
+/**
+ * Return a form for an object schema: {element, read()}. `more` lists the fields that are folded; `choices` contains the
+ * options of text fields.
+ */
+export function form(schema, { values = {}, more = [], choices = {}, skip = [] } = {}) {
+  const grid = make("div", { className: "rows" }), rest = make("div", { className: "rows" }), readers = {};
+  for (const [key, field] of Object.entries(schema.properties)) {
+    if (field.const !== undefined || skip.includes(key)) continue;
+    // Lists of rows and tables are edited in files and scripts only; the form keeps their values.
+    if (field.default !== undefined && (field.type === "object" || field.items?.type === "array")) {
+      readers[key] = () => values[key];
+      continue;
+    }
+    const required = (schema.required ?? []).includes(key);
+    const built = build(key, field, values[key] ?? field.default, required, choices[key]);
+    (more.includes(key) ? rest : grid).append(...built.elements);
+    readers[key] = built.read;
+  }
+  const element = make("div", {}, grid);
+  if (rest.children.length) element.append(make("details", {}, make("summary", {}, "more"), rest));
+  const kind = schema.properties.kind?.const;
+  return { element, read: () => {
+    const result = kind === undefined ? {} : { kind };
+    for (const [key, readValue] of Object.entries(readers)) {
+      const value = readValue();
+      if (value !== undefined) result[key] = value;
+    }
+    return result;
+  } };
+}

@@ -1,0 +1,245 @@
+// Shared by every part of the page: elements, units, the client's identity, requests, the status, and notes to the user.
+
+export const $ = (id) => document.getElementById(id);
+
+/** Return a new HTML element, for example make("p", {className: "dim"}, "text", child). */
+export function make(tag, fields = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), fields);
+  for (const [name, value] of Object.entries(fields)) {
+    if (name.includes("-") || name === "role") element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** Return a button that calls `onclick` when it is pressed. */
+export const button = (text, onclick, fields = {}) => make("button", { type: "button", onclick, ...fields }, text);
+
+/** Set the text of `element` only if the text changes, because setting it would clear the user's selection. */
+export const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
+
+/**
+ * Replace the children of `element` with `children()` only if `content` has changed, because replacing unchanged children
+ * would interrupt a click on a button or close an open tooltip.
+ */
+export function replaceChanged(element, content, children) {
+  const shown = JSON.stringify(content);
+  if (element.dataset.shown === shown) return;
+  element.dataset.shown = shown;
+  element.replaceChildren(...children().filter((child) => child !== null));
+}
+
+// Requests and answers use SI; the page shows millimetres and degrees, as in station/config/units.py.
+const SHOWN = {
+  m: ["mm", 1e3], "m/s": ["mm/s", 1e3], "m/s^2": ["mm/s²", 1e3], rad: ["°", 180 / Math.PI], "rad/s": ["°/s", 180 / Math.PI],
+};
+
+export const unit = (si) => SHOWN[si] ?? [si, 1];
+/** Format a number with its significant digits only. */
+export const tidy = (value) => String(Number(value.toPrecision(10)));
+
+const NUMBER = "[-+]?\\d+(?:\\.\\d+)?(?:e[-+]?\\d+)?";
+const SI = new RegExp(`(${NUMBER})( \\.\\.\\. )?(${NUMBER})? (rad/s|rad|m/s\\^2|m/s|m)(?![\\w/^²])`, "g");
+
+/**
+ * Convert the lengths and angles of a station's message to the page's units: "-0.13 ... -0.005 m" is "-130 ... -5
+ * mm".
+ */
+export const inPageUnits = (text) => text.replace(SI, (whole, first, dots, second, si) => {
+  if ((dots === undefined) !== (second === undefined)) return whole;
+  const [shown, scale] = unit(si), number = (one) => String(Number((Number(one) * scale).toPrecision(4)));
+  return `${number(first)}${dots === undefined ? "" : dots + number(second)} ${shown}`;
+});
+
+/** Format a time [s], for example "1:05". */
+export function clock(seconds) {
+  const whole = Math.max(0, Math.round(seconds));
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}
+
+/** Return the value that this tab of the browser has stored as JSON under `key`; null without a readable one. */
+export function stored(key) {
+  try { return JSON.parse(sessionStorage.getItem(key)); } catch { return null; }
+}
+
+function identity() {
+  const known = sessionStorage.getItem("client");
+  if (known !== null) return known;
+  const bytes = crypto.getRandomValues(new Uint8Array(16));
+  const created = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+  sessionStorage.setItem("client", created);
+  return created;
+}
+
+/** Secret random identity of this browser tab. */
+export const client = identity();
+export const name = {
+  get: () => localStorage.getItem("name") ?? "",
+  set: (text) => localStorage.setItem("name", text),
+};
+
+export class Refused extends Error {
+  constructor(reason, status) { super(reason); this.status = status; }
+}
+
+let polls = new AbortController();
+/** Cancel all polling requests, because a browser opens at most six connections and a command needs a free one now. */
+export function abortPolls() {
+  polls.abort();
+  polls = new AbortController();
+}
+
+/** Return the station's answer; throw Refused with the reason of a refusal, or an Error if there is no answer within `timeout` [ms]. */
+export async function request(method, path, body, timeout) {
+  const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
+  if (method !== "GET") headers["content-type"] = "application/json";
+  const answer = await fetch(path, {
+    method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
+    signal: timeout === undefined ? undefined
+      : AbortSignal.any([AbortSignal.timeout(timeout), ...(method === "GET" ? [polls.signal] : [])]),
+  });
+  const text = await answer.text();
+  const read = () => { try { return JSON.parse(text); } catch { return { error: text.slice(0, 200) }; } };
+  if (!answer.ok) throw new Refused(read().error ?? `answer ${answer.status}`, answer.status);
+  return text === "" ? null : read();
+}
+
+/**
+ * Keep a socket to /api/`path` connected. Call `onMessage(value)` with each message and `onOpen()` after each connection;
+ * return the function that sends a text.
+ */
+export function stream(path, onMessage, onOpen = () => {}) {
+  let socket = null;
+  const connect = () => {
+    socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/${path}`);
+    socket.addEventListener("open", onOpen);
+    socket.addEventListener("message", (event) => onMessage(JSON.parse(event.data)));
+    socket.addEventListener("close", () => setTimeout(connect, 1000));
+  };
+  connect();
+  return (text) => { if (socket.readyState === WebSocket.OPEN) socket.send(text); };
+}
+
+let remedyButton = () => null;
+/** Set the function `make(status)`, which returns a button (or null) to show with a refusal of status 409. */
+export const onRefusal = (make) => { remedyButton = make; };
+
+/** Send a command of the user. Return the answer; if the command failed, show the reason and return null. */
+export async function sendCommand(method, path, body) {
+  try {
+    const answer = await request(method, path, body);
+    pollStatus();
+    return answer ?? {};
+  } catch (error) {
+    await pending;
+    await pollStatus(); // the button must fit the state that refused the command
+    const remedy = error instanceof Refused && error.status === 409 && status !== null ? remedyButton(status) : null;
+    const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
+    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, remedy, remedy && same);
+    return null;
+  }
+}
+
+const lasting = new Map(); // notes that stay while a condition is true, with their conditions
+
+/** Show a note in the corner, optionally with a button, for 12 s or as long as `isCurrent(status)` is true. */
+export function note(message, good = false, remedy = null, isCurrent = null) {
+  const text = inPageUnits(message);
+  for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // an older note with the same text is replaced
+  const close = button("×", () => box.remove(), { "aria-label": "close" });
+  const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), remedy, close);
+  remedy?.addEventListener("click", () => box.remove());
+  $("notes").append(box);
+  while ($("notes").children.length > 4) $("notes").firstChild.remove();
+  if (isCurrent === null) setTimeout(() => box.remove(), 12000); else lasting.set(box, isCurrent);
+}
+
+let closeQuestion = () => {}; // function that closes the open question
+
+/**
+ * Ask the user to confirm; resolves to true or false. Every checkbox in `content` must be ticked first.
+ * The header stays usable, because no question covers STOP and the state. A newer question cancels an older one.
+ */
+export function confirm(title, action, ...content) {
+  closeQuestion();
+  const dialog = $("question"), form = dialog.querySelector("form"), yes = dialog.querySelector("[value=yes]");
+  const others = [...dialog.parentElement.children].filter((one) => one !== dialog), ends = new AbortController(), { signal } = ends;
+  dialog.querySelector("h2").textContent = title;
+  form.querySelector("div").replaceChildren(...content);
+  yes.textContent = action;
+  const boxes = [...form.querySelectorAll("input[type=checkbox]")];
+  const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
+  boxes.forEach((box) => box.addEventListener("change", check));
+  check();
+  for (const one of others) one.inert = true;
+  dialog.show();
+  return new Promise((resolve) => {
+    closeQuestion = (sure = false) => {
+      closeQuestion = () => {};
+      ends.abort();
+      for (const one of others) one.inert = false;
+      dialog.close();
+      resolve(sure);
+    };
+    form.addEventListener("submit", (event) => { event.preventDefault(); closeQuestion(true); }, { signal });
+    dialog.querySelector("[value=no]").addEventListener("click", () => closeQuestion(), { signal });
+    document.addEventListener("keydown", (event) => { if (event.key === "Escape") closeQuestion(); }, { signal });
+  });
+}
+
+// ---- status of the station: polled several times a second, and marked as stale if it is too old
+
+// The timeout is long, because a late answer is useful, too. While the page waits, it marks its data as stale.
+const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, STALE_AFTER_MS = 480; // ms
+const listeners = [];
+let status = null, receivedAt = -Infinity, pending = null, wasStale = null;
+
+/** Call `listener(status, stale)` with each new status, and when the status becomes stale. */
+export const onStatus = (listener) => { listeners.push(listener); };
+export const latest = () => status;
+
+const age = () => performance.now() - receivedAt + 1000 * (status?.age ?? 0);
+
+function publish() {
+  wasStale = status === null || status.stale || age() > STALE_AFTER_MS;
+  document.body.classList.toggle("stale", wasStale);
+  for (const listener of listeners) listener(status, wasStale);
+  for (const [box, isCurrent] of lasting) if (status !== null && !(box.isConnected && isCurrent(status))) { box.remove(); lasting.delete(box); }
+}
+
+/** Request the status, or wait for the answer to the pending request. */
+export const pollStatus = () => (pending ??= fetchStatus().finally(() => { pending = null; }));
+
+async function fetchStatus() {
+  try {
+    status = await request("GET", "/api/status", undefined, TIMEOUT_MS);
+    receivedAt = performance.now();
+  } catch {
+    if (age() > STALE_AFTER_MS) status = null;
+  }
+  publish();
+}
+
+/**
+ * Return whether the status is current. A stale status is requested once more; if it stays stale, a note reports that
+ * nothing was started.
+ */
+export async function ensureFresh() {
+  if (wasStale) await pollStatus();
+  if (wasStale) note("nothing was started: the page's data of the robot is stale. Wait until the state is no longer stale, then press again");
+  return !wasStale;
+}
+
+/**
+ * Return whether this page may send commands now: it is operator, or there is no operator and it could become
+ * operator.
+ */
+export const mayCommand = (now = status) =>
+  now !== null && now.operator.role === "operator" && (now.operator.you || now.operator.name === null);
+
+export function start() {
+  setInterval(pollStatus, POLL_INTERVAL_MS);
+  // Stale data must be marked even while a request is pending.
+  setInterval(() => { if (age() > STALE_AFTER_MS && !wasStale) { if (age() > 2 * STALE_AFTER_MS) status = null; publish(); } }, 50);
+  pollStatus();
+}

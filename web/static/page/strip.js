@@ -1,0 +1,77 @@
+// Values that are always visible: error, force, deflection and time left; after a run, its result.
+import { $, button, clock, make, onStatus, request, setText, Refused } from "./station.js";
+import { directionError, error, follows, latestSample } from "./telemetry.js";
+import { errorSummary, ended, SHAPES } from "../runs/result.js";
+
+const REFRESH_INTERVAL_MS = 200; // ms
+const length = (vector, scale = 1) => (vector ? scale * Math.hypot(...vector) : null);
+const BEFORE = { approaching: "to start", settling: "at rest" };
+let status = null, stale = true;
+
+let truth = false; // whether the newest sample contained the true tip
+const reference = (sample) => {
+  if (sample !== null) truth = Boolean(sample.truth_known);
+  return truth ? "true" : "measured";
+};
+function timeLeft() {
+  const run = status?.run;
+  if (stale || !run || status.state !== "RUNNING") return null;
+  return run.phase === "moving" ? clock(run.duration * (1 - run.progress)) : BEFORE[run.phase] ?? null;
+}
+
+const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off target" : "target not seen") : "error");
+const fixed = (digits) => (value) => value.toFixed(digits);
+/** Name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
+const CELLS = [
+  { name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
+  { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
+  { name: () => "force", unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
+  { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "no current force measurement" },
+  { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running" },
+].map((cell) => ({ ...cell, label: make("span", { className: "dim" }), shown: make("output") }));
+
+for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown));
+
+function show() {
+  const sample = stale ? null : latestSample();
+  for (const { name, unit, value, text, none, optional, element, label, shown } of CELLS) {
+    const now = value(sample) ?? null;
+    if (optional) element.hidden = now === null; // no direction is desired
+    label.textContent = name(sample);
+    setText(shown, now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`);
+    shown.title = now === null ? none : "";
+  }
+}
+
+// ---- the end of a run
+
+let reported = null; // id of the run whose end was reported or must not be reported
+
+async function reportEnd(run) {
+  reported = run.id;
+  let result;
+  try {
+    result = await request("GET", `/api/runs/${encodeURIComponent(run.id)}`, undefined, 5000);
+  } catch (error) {
+    if (!(error instanceof Refused)) reported = null; // the station did not answer, so the result is requested again
+    return;
+  }
+  if (reported !== run.id) return;
+  const [largest, rms] = errorSummary(result), force = Math.max(...Object.values(result.outcomes).map((one) => one.force ?? NaN));
+  const numbers = largest === "–" ? ended(result) : `${SHAPES[result.label] ?? "○"} ${result.label} · error at most ${largest}, RMS ${rms} mm${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
+  $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: result.label }, numbers)),
+    button("Result", async () => (await import("../runs/runs.js")).showRun(run.id)),
+    button("×", () => { $("ended").hidden = true; }, { "aria-label": "close" }));
+  $("ended").hidden = false;
+}
+
+onStatus((now, old) => {
+  status = now;
+  if (stale !== old) { stale = old; show(); } // stale values disappear at once
+  const run = now?.run;
+  if (!run) return;
+  if (now.state === "RUNNING") { reported = null; $("ended").hidden = true; }
+  else if (run.recorded && run.id !== reported && !run.recording && !old) reportEnd(run);
+});
+setInterval(show, REFRESH_INTERVAL_MS);
+show();

@@ -1,0 +1,233 @@
+// Run: the station's experiments, and free motions with custom parameters.
+import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
+import { showReason } from "../page/header.js";
+import { form, poseText, schemas, sentence, variants } from "../page/form.js";
+import { card, head } from "../page/tabs.js";
+import { go } from "../jog/jog.js";
+import { change, origin, rows } from "./waypoint_list.js";
+import { waypoints } from "./waypoints.js";
+
+/** Initial values of form fields without a default, SI. */
+const INITIAL_VALUES = {
+  circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
+  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 },
+  constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
+  trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
+};
+const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
+const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
+/** Time for which the tip stays at the last waypoint [s]. */
+const FINAL_PAUSE_S = 3;
+/** If each joint is at most this far from its start position, the start needs no confirmation [rad, m]. */
+const NEAR_START = { rad: 0.02, m: 0.001 };
+
+let loaded = null, starting = false, blockedReason = "", rig = null, submitButton = null, refusal = null;
+
+/** Show a form; its button `label` starts a motion. */
+function open(title, children, label, onStart) {
+  submitButton = make("button", { type: "submit", className: "main" }, label);
+  refusal = make("span", { className: "small dim" });
+  const element = make("form", {}, head("all motions", overview, title), ...children, make("div", { className: "acts sticky" }, submitButton, refusal));
+  element.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    submitButton.disabled = starting = true;
+    if (await ensureFresh()) await onStart(); // disabled meanwhile, because the station first checks the path on the model
+    starting = false;
+  });
+  $("start").replaceChildren(element);
+  $("start").scrollTop = 0;
+  refresh();
+}
+
+/** Start a run and show its warnings, except warnings that were already shown. */
+async function startRun(body, shownWarnings = []) {
+  const answer = await sendCommand("POST", "/api/start", body);
+  for (const text of answer?.warnings ?? []) if (!shownWarnings.includes(text)) note(`started, but ${text}`);
+}
+
+async function overview() {
+  const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
+  const experiments = make("div", { className: "cards" }, make("p", { className: "dim" }, "checking on the model …"));
+  submitButton = null;
+  $("start").replaceChildren(
+    make("h3", {}, "Experiments"), experiments,
+    make("h3", {}, "Your own motion, from the current pose"),
+    make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
+      card(kind.replaceAll("_", " "), [sentence(schema)], () => motion(kind, schema, all))),
+    // The API description contains StreamAgreement only if the gateway accepts targets.
+    all.StreamAgreement && card("external target", [STREAM_DESCRIPTION], () => streamForm(all))),
+  );
+  if (loaded !== null) showExperiments(experiments, loaded);
+  try {
+    const now = await request("GET", "/api/experiments"); // a user may have edited experiment files meanwhile
+    if (JSON.stringify(now) !== JSON.stringify(loaded)) showExperiments(experiments, loaded = now);
+  } catch (error) {
+    experiments.replaceChildren(make("p", { className: "mind" }, `the experiments could not be loaded: ${error.message}`), button("Try again", overview));
+  }
+}
+
+/** Return why no case can start here: the file is invalid, or all cases are refused; empty if a case can start. */
+const refusalOf = (one) => one.error || (one.cases.every((each) => each.refused !== "") ? one.cases[0].refused : "");
+
+function showExperiments(list, all) {
+  const unavailable = all.filter((one) => refusalOf(one) !== "");
+  list.replaceChildren(...all.filter((one) => refusalOf(one) === "").map((one) =>
+    card(one.name.replaceAll("_", " "), [one.title], () => experiment(one), make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: "", width: 116, height: 58 }))));
+  if (unavailable.length) list.append(make("details", { open: unavailable.some((one) => one.error !== "") },
+    make("summary", {}, `${unavailable.length} that cannot be started here`), ...groupedByReason(unavailable)));
+}
+
+/** Return the unavailable experiments, grouped by their reason. */
+const groupedByReason = (all) => [...new Set(all.map(refusalOf))].map((reason) => make("p", { className: "small" },
+  make("b", {}, all.filter((one) => refusalOf(one) === reason).map((one) => one.name.replaceAll("_", " ")).join(", ")), `: ${inPageUnits(reason)}`));
+
+function experiment(one) {
+  const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name }, each.words)));
+  const facts = make("div", { className: "rows" });
+  const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" });
+  const show = () => {
+    const chosen = one.cases.find((each) => each.name === select.value);
+    drawn.src = `/api/experiments/${one.name}/picture.svg?case=${encodeURIComponent(chosen.name)}`;
+    const lines = chosen.facts.map((fact) => [fact.what, fact.text, "wide"]);
+    lines.push(...chosen.warnings.map((text) => ["warning", inPageUnits(text), "wide mind"]));
+    if (chosen.refused !== "") lines.push(["not available", inPageUnits(chosen.refused), "wide mind"]);
+    facts.replaceChildren(...lines.flatMap(([key, text, className]) => [make("span", { className: "dim" }, key), make("span", { className }, text)]));
+    blockedReason = chosen.refused === "" ? "" : "not available on this station";
+    refresh();
+    return chosen;
+  };
+  select.addEventListener("change", show);
+  show();
+  open(one.name, [make("p", {}, one.title), drawn, make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
+    make("div", { className: "rows" }, make("label", {}, "case"), select), make("h3", {}, "What it does"), facts], "Start experiment", async () => {
+    const chosen = show(), now = latest().joints;
+    const farFromStart = rig.joints.some((joint) => !(Math.abs(now[joint.name] - chosen.start[joint.name]) < NEAR_START[joint.unit]));
+    if (farFromStart && !await confirm(`Start ${one.name}?`, "Start",
+      make("p", {}, "The robot first goes to the start pose, all joints at the same time:"), make("p", {}, poseText(rig.joints, chosen.start)),
+      make("p", { className: "dim" }, `Now: ${poseText(rig.joints, now)}. Check that the path is clear. STOP works at any time.`))) return;
+    await startRun({ experiment: one.name, case: chosen.name }, chosen.warnings);
+  });
+}
+
+function union(all, field, kind, title, values = INITIAL_VALUES[kind]) {
+  const kinds = variants(all, field), select = make("select", { "aria-label": title }, ...Object.keys(kinds).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+  const fields = make("div"), description = make("p", { className: "small dim" });
+  let chosen = null;
+  const show = () => {
+    chosen = form(kinds[select.value], { values: select.value === kind ? values : INITIAL_VALUES[select.value], more: FOLDED_FIELDS });
+    description.textContent = sentence(kinds[select.value]);
+    fields.replaceChildren(chosen.element);
+  };
+  select.value = kind;
+  select.addEventListener("change", show);
+  show();
+  return { element: make("fieldset", {}, make("legend", {}, title), select, description, fields), read: () => chosen.read() };
+}
+
+const controllerForm = (all, values) => form(all.ControllerFile, { values: values ?? rig.controller, more: FOLDED_FIELDS, choices: { strategy: rig.strategies, inner: rig.inner } });
+const controlFields = (control) => make("fieldset", {}, make("legend", {}, "Control"), control.element);
+
+function motion(kind, schema, all, values = {}) {
+  const path = form(schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
+  // Only the virtual lab can apply a load; on a real rig a person attaches it.
+  const load = rig.virtual ? union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
+  const control = controllerForm(all, values.controller);
+  const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
+  const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
+  blockedReason = "";
+  const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
+  open(kind.replaceAll("_", " "), [make("p", {}, sentence(schema)),
+    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}). ${rig.model}`),
+    make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
+      table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
+    load?.element, controlFields(control)], "Start motion", () => startRun(read()));
+}
+
+/** Show the form of a run that follows external targets while this page is operator. */
+function streamForm(all) {
+  const bounds = form(all.StreamAgreement, { skip: ["frame", "controller"], more: ["acceleration", "silence"] });
+  const control = controllerForm(all);
+  blockedReason = "";
+  open("external target", [make("p", {}, STREAM_DESCRIPTION),
+    make("p", { className: "small dim" }, "The tip does not move before the first target arrives. The first program that sends a target controls the tip until it disconnects. Keep this page open, and STOP within reach."),
+    make("fieldset", {}, make("legend", {}, "Bounds"), bounds.element), controlFields(control)],
+  "Start following", () => sendCommand("POST", "/api/gateway/target", { ...bounds.read(), controller: control.read() }));
+}
+
+/**
+ * Return the table of waypoints of a motion's form. The check of the waypoints uses the form's other fields. The duration
+ * in the form is set such that all waypoints are reached.
+ */
+function waypointTable(path, control, time) {
+  const table = waypoints(() => ({ ...limits(path.read()), controller: control.read() }), go);
+  const duration = time.element.querySelector("input");
+  const update = () => {
+    blockedReason = table.blockedReason();
+    if (blockedReason === "") duration.value = Math.ceil(rows().at(-1)[0] + FINAL_PAUSE_S);
+    refresh();
+  };
+  table.element.addEventListener("places", update);
+  update();
+  for (const one of [path.element, control.element]) one.addEventListener("change", table.recheck);
+  return table;
+}
+const limits = ({ max_speed, max_acceleration }) => ({ max_speed, max_acceleration });
+
+/**
+ * Return the fields for saving and loading motions of a kind, which the station stores as experiments. `motionOf()` returns
+ * the motion of the form; `restore(motion)` fills the form with a loaded motion.
+ */
+function saved(kind, motionOf, restore) {
+  const name = make("input", { type: "text", maxLength: 60, pattern: "[A-Za-z0-9_][A-Za-z0-9_\\-]*", placeholder: "name", title: "letters, digits, _ and -", "aria-label": "name to save it under" });
+  const list = make("select", { "aria-label": "saved motions" });
+
+  async function store(replace) {
+    const body = motionOf();
+    try {
+      const { note: message } = await request("PUT", `/api/experiments/${encodeURIComponent(name.value)}`, { ...body, replace });
+      note(`${message}; ctr-station run ${name.value} runs it, too`, true);
+      refreshList();
+    } catch (error) {
+      const exists = !replace && error instanceof Refused && error.message.includes("exists already");
+      if (!exists) note(error.message);
+      else if (await confirm(`Replace '${name.value}'?`, "Replace", make("p", {}, `'${name.value}' exists already. Its file will be overwritten.`))) await store(true);
+    }
+  }
+
+  const save = button("Save", () => {
+    name.required = true;
+    const may = name.form.reportValidity();
+    name.required = false; // required only for saving
+    if (may) store(false);
+  });
+  const loadBox = make("label", { hidden: true }, list, " ", button("Load", async () => {
+    try { restore(await request("GET", `/api/experiments/${encodeURIComponent(list.value)}/motion`)); name.value = list.value; } catch (error) { note(error.message); }
+  }));
+
+  async function refreshList() {
+    const all = await request("GET", "/api/experiments").catch(() => []);
+    list.replaceChildren(...all.filter((one) => one.cases[0]?.trajectory === kind).map((one) => make("option", { value: one.name }, one.name)));
+    if (name.value) list.value = name.value;
+    loadBox.hidden = list.options.length === 0;
+  }
+  refreshList();
+  return make("div", { className: "acts" }, name, save, loadBox);
+}
+
+/** Show a saved motion in its form. The start pose of the motion is the saved one. */
+function restoreMotion(stored, schema, all) {
+  change({ rows: stored.trajectory.points, origin: { tip: null, joints: stored.start } });
+  motion("waypoints", schema, all, stored);
+}
+
+function refresh() {
+  const status = latest();
+  if (submitButton === null || status === null) return;
+  const ready = status.state === "READY", mayStart = mayCommand(status);
+  submitButton.disabled = !ready || !mayStart || starting || blockedReason !== "";
+  if (ready && mayStart && blockedReason !== "") { refusal.dataset.shown = ""; refusal.textContent = blockedReason; } else showReason(refusal, status);
+}
+onStatus(refresh);
+
+rig = await request("GET", "/api/rig");
+await overview();

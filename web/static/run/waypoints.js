@@ -1,0 +1,187 @@
+// Table of waypoints: added at the tip, typed, or loaded from a file; drawn, and checked on the model before the start.
+import { $, button, inPageUnits, latest, make, mayCommand, onStatus, request, setText, tidy, Refused } from "../page/station.js";
+import { step, svg } from "../page/chart.js";
+import { add, addRow, canUndo, change, csvOf, edit, firstError, move, onChange, origin, parseCsv, remove, rows, setStartTip, setTimes, undo, UNITS } from "./waypoint_list.js";
+
+const CHECK_DELAY_MS = 300; // time without a change after which the path is checked [ms]
+const MM = 1e-3;
+/** The robot counts as at the start pose if each joint is at most this far from its start position [rad, m]. */
+const NEAR_START = { rad: 0.01, m: 5e-4 };
+const COLUMN_TITLES = ["time s", "x mm", "y mm", "z mm"];
+
+/** Format a value for a cell: seconds in the first column, millimetres in the others. */
+const cellText = (value, column) => (Number.isFinite(value) ? tidy(Number((column ? value / MM : value).toFixed(3))) : "");
+
+const rig = await request("GET", "/api/rig");
+let table = null; // the table shown on the page
+
+/**
+ * Return a form field: {element, read() in SI, blockedReason(), recheck()}. The element sends an event `places` at each
+ * change. `rest()` returns the motion's other fields and its controller. `goThere(title, pose, body)` moves the robot to a
+ * pose after the user's confirmation.
+ */
+export function waypoints(rest, goThere) {
+  const body = make("tbody"), message = make("p", { className: "small", role: "status" }), picture = make("div");
+  const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: 5, required: true, "aria-label": "speed between waypoints" });
+  const addButton = button("Add waypoint here", () => add(latest().tip_measured, latest().joints, metresPerSecond()), { className: "main" }), undoButton = button("Undo", undo);
+  const offsetWarning = make("span", { className: "small mind" });
+  const goButton = button("Go to the start…", () => goThere("Go to the start?", origin().joints, { joints: origin().joints }));
+  const startBox = make("p", { className: "acts", style: "margin:8px 0 0" }, offsetWarning, goButton);
+  const unit = make("select", { "aria-label": "unit of a file without units" }, ...Object.keys(UNITS).map((item) => make("option", { value: item }, item)));
+  const file = make("input", { type: "file", accept: ".csv,text/csv,text/plain", "aria-label": "CSV file of waypoints" });
+  let checkResult = null, checkNumber = 0, timer = null;
+
+  const metresPerSecond = () => Number(speed.value) * MM;
+  const element = make("div", { className: "teach" },
+    make("div", { className: "acts", style: "margin:0 0 8px" }, addButton, button("Add a row", () => { addRow(metresPerSecond()); focus(rows().length - 1, 0); }, { title: "add a row to fill in" }), undoButton),
+    make("table", { className: "places", "aria-label": "waypoints, relative to the tip at the start" },
+      make("thead", {}, make("tr", {}, make("th", {}, "#"), ...COLUMN_TITLES.map((head) => make("th", {}, head)), make("th"))), body),
+    message, startBox, picture,
+    make("div", { className: "acts" }, make("label", {}, "speed ", speed, " mm/s"), button("Times from speed", () => { if (speed.reportValidity()) setTimes(metresPerSecond()); }, { title: "compute the times of all waypoints from the speed" })),
+    make("div", { className: "acts small" }, make("label", {}, "CSV ", file), make("label", {}, "in ", unit), button("Save as CSV", download, { title: "save the table as a CSV file" })));
+
+  file.addEventListener("change", async () => {
+    if (file.files.length === 0) return;
+    const result = parseCsv(await file.files[0].text(), unit.value);
+    file.value = ""; // needed so that the user can load the same file again
+    if (result.wrong) showMessage(result.wrong, true); else change({ rows: result.rows, origin: null });
+  });
+
+  function showMessage(text, isWarning) {
+    message.textContent = text;
+    message.classList.toggle("mind", isWarning);
+  }
+
+  function focus(row, column) { body.querySelectorAll("tr.place")[row]?.querySelectorAll("input, button")[column]?.focus(); }
+
+  function line(values, i) {
+    const cells = values.map((value, k) => {
+      const input = make("input", { type: "number", step: "any", required: true, "aria-label": `waypoint ${i + 1} ${COLUMN_TITLES[k]}` });
+      input.value = cellText(value, k);
+      input.addEventListener("change", () => edit(i, k, input.value === "" ? NaN : Number(input.value) * (k ? MM : 1)));
+      return make("td", {}, input);
+    });
+    const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
+    const smallButton = (text, label, onclick, disabled = false) => button(text, onclick, { title: label, "aria-label": label, disabled });
+    return make("tr", { className: "place" }, make("td", { className: "dim" }, String(i + 1)), ...cells, make("td", { className: "order" },
+      smallButton("↑", `waypoint ${i + 1} up`, () => shift(-1), i === 0), smallButton("↓", `waypoint ${i + 1} down`, () => shift(1), i === rows().length - 1),
+      smallButton("×", `delete waypoint ${i + 1}`, () => { remove(i); focus(Math.min(i, rows().length - 1), 6); })));
+  }
+
+  /** Update the table. If the number of rows is unchanged, the row elements are kept, so that the focus stays. */
+  function fill() {
+    const oldRows = [...body.querySelectorAll("tr.place")];
+    if (oldRows.length !== rows().length) body.replaceChildren(...rows().map(line));
+    else oldRows.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => { input.value = cellText(rows()[i][k], k); }));
+    undoButton.disabled = !canUndo();
+    checkResult = null;
+    showCheck();
+    clearTimeout(timer);
+    timer = setTimeout(checkPath, CHECK_DELAY_MS);
+    element.dispatchEvent(new Event("places"));
+  }
+
+  /** Show the error of a row below this row, and draw the path. */
+  function showCheck() {
+    const fault = firstError(), bad = fault?.row ?? (checkResult?.possible === false ? checkResult.place : null), text = fault?.text ?? checkResult?.reason ?? "";
+    for (const oldReason of body.querySelectorAll(".why")) oldReason.remove();
+    body.querySelectorAll("tr.place").forEach((row, i) => {
+      row.classList.toggle("bad", i === bad);
+      row.setAttribute("aria-invalid", String(i === bad));
+      if (i === bad) row.after(make("tr", { className: "why" }, make("td"), make("td", { colSpan: 5 }, `✗ ${inPageUnits(text)}${checkResult?.instead ? `; ${checkResult.instead}` : ""}`)));
+    });
+    if (rows().length === 0) showMessage("No waypoint yet: move the tip (tab Jog) and add its position, add a row, or load a file. The first waypoint is the start; all others are relative to it.", false);
+    else if (fault !== null) showMessage(`waypoint ${fault.row + 1} is incomplete`, true);
+    else if (checkResult === null) showMessage("checking on the model …", false);
+    else if (checkResult.possible) showMessage(`✓ according to the model, the tip reaches ${rows().length === 1 ? "it" : `all ${rows().length}`} in ${tidy(rows().at(-1)[0])} s`, false);
+    else showMessage(bad === null ? inPageUnits(text) : `✗ the tip does not reach waypoint ${bad + 1}`, true);
+    const usable = rows().filter((row) => row.every(Number.isFinite)).map(([, ...position]) => position);
+    picture.replaceChildren(...(usable.length === 0 ? [] : [drawing(usable, checkResult?.path ?? [], bad)]));
+  }
+
+  async function checkPath() {
+    if (rows().length === 0 || firstError() !== null || !element.isConnected) return;
+    const mine = ++checkNumber;
+    let result = null;
+    try {
+      result = await request("POST", "/api/waypoints/check", { points: rows(), ...rest(), ...(origin() === null ? {} : { start: origin().joints }) });
+    } catch (error) {
+      result = { possible: false, place: null, reason: error instanceof Refused ? error.message : `the path could not be checked: ${error.message}`, instead: "", path: [] };
+    }
+    if (mine !== checkNumber) return;
+    checkResult = result;
+    showCheck();
+  }
+
+  function download() {
+    const link = make("a", { href: URL.createObjectURL(new Blob([csvOf(rows())], { type: "text/csv" })), download: "waypoints.csv" });
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  /** Warn if the robot is away from the start pose: waypoints are relative to the tip at the start of the motion. */
+  function compareWithStart(status) {
+    const start = origin(), tip = status?.tip_measured ?? null, isReady = status?.state === "READY";
+    const atStart = start === null || status === null || rig.joints.every(({ name, unit: si }) => Math.abs(status.joints[name] - start.joints[name]) < NEAR_START[si]);
+    if (start !== null && start.tip === null && atStart && isReady && tip !== null) setStartTip(tip);
+    const startUnknown = origin() !== null && origin().tip === null;
+    addButton.disabled = tip === null || startUnknown || !isReady;
+    addButton.title = tip === null ? "the tip is not measured now" : startUnknown ? "go to the start first: waypoints are relative to it" : isReady ? "at the measured position of the tip" : "possible while READY";
+    startBox.hidden = atStart;
+    goButton.disabled = !isReady || !mayCommand(status);
+    if (atStart) return;
+    const offset = startUnknown || tip === null ? "The robot is" : `The tip is ${(Math.hypot(...tip.map((part, i) => part - origin().tip[i])) / MM).toFixed(1)} mm`;
+    setText(offsetWarning, `▲ ${offset} away from the start; a motion from here shifts all waypoints.`);
+  }
+
+  table = { fill, compare: compareWithStart };
+  fill();
+  compareWithStart(latest());
+  /** Return why the motion cannot start; empty if the motion can start. */
+  const blockedReason = () => (rows().length === 0 ? "add a waypoint first" : firstError() === null ? "" : `waypoint ${firstError().row + 1} is incomplete`);
+  return { element, blockedReason, read: rows, recheck: checkPath };
+}
+
+onChange(() => table?.fill());
+onStatus((status, stale) => { if (!$("start").hidden) table?.compare(stale ? null : status); });
+
+// ---- drawing of the path, from the side and from above, in one scale
+
+const SIZE = 196, GAP = 12, MARGIN = 20;
+/** Views of the drawing: [name, axis to the right, its sign, axis upward, its sign, text]. */
+const VIEWS = [["side", 2, 1, 0, -1, "z → x ↓"], ["above", 2, 1, 1, 1, "z → y ↑"]];
+/** Smallest extent that is drawn [m], so that a short path appears short. */
+const MIN_EXTENT_M = 0.004;
+
+/**
+ * Draw `positions` (offsets of the waypoints from the start [m]) and the `path` through the waypoints. `bad` is the index
+ * of an unreachable waypoint, or null.
+ */
+function drawing(positions, path, bad) {
+  const all = [[0, 0, 0], ...positions, ...path];
+  const low = [0, 1, 2].map((axis) => Math.min(...all.map((one) => one[axis]))), high = [0, 1, 2].map((axis) => Math.max(...all.map((one) => one[axis])));
+  const scale = (SIZE - 2 * MARGIN) / Math.max(MIN_EXTENT_M, ...low.map((least, axis) => high[axis] - least));
+  const whole = svg("svg", { viewBox: `0 0 ${2 * SIZE + GAP} ${SIZE}`, role: "img", "aria-label": `path through ${positions.length} waypoints, from the side and from above`, class: "way" });
+  for (const [i, [name, across, sign, up, sense, axesText]] of VIEWS.entries()) {
+    const middle = (axis) => (low[axis] + high[axis]) / 2;
+    const at = (position) => [SIZE / 2 + sign * scale * (position[across] - middle(across)), SIZE / 2 - sense * scale * (position[up] - middle(up))];
+    const part = svg("g", { transform: `translate(${i * (SIZE + GAP)} 0)` }, svg("rect", { x: 0.5, y: 0.5, width: SIZE - 1, height: SIZE - 1, rx: 6 }));
+    part.append(svg("polyline", { points: (path.length > 1 ? path : [[0, 0, 0], ...positions]).map((one) => at(one).map((x) => x.toFixed(1)).join(",")).join(" "), class: path.length > 1 ? "" : "guess" }));
+    const [x0, y0] = at([0, 0, 0]);
+    part.append(svg("path", { d: `M${x0 - 5} ${y0}h10M${x0} ${y0 - 5}v10`, class: "start" }));
+    const labelled = positions[bad] === undefined ? [] : [at(positions[bad])];
+    positions.forEach((position, k) => {
+      const [x, y] = at(position);
+      part.append(svg("circle", { cx: x, cy: y, r: k === bad ? 5 : 3, class: k === bad ? "bad" : "" }));
+      // The numbers of waypoints must not overlap. The unreachable waypoint always has its number.
+      if (k !== bad && labelled.some(([u, v]) => Math.hypot(x - u, y - v) < 12)) return;
+      labelled.push([x, y]);
+      part.append(svg("text", { x: x + 6, y: y - 5, class: k === bad ? "bad" : "" }, k + 1));
+    });
+    const bar = step((SIZE - 2 * MARGIN) / scale, 3);
+    part.append(svg("text", { x: 7, y: 14 }, `${name}: ${axesText}`), svg("path", { d: `M7 ${SIZE - 12}v4h${bar * scale}v-4`, class: "start" }),
+      svg("text", { x: 12 + bar * scale, y: SIZE - 6 }, `${Number((1e3 * bar).toPrecision(3))} mm`));
+    whole.append(part);
+  }
+  return whole;
+}

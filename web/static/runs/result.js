@@ -1,0 +1,147 @@
+// Result of a run: the errors first, then its curves; everything else is folded. And the comparison of two runs.
+import { make, request } from "../page/station.js";
+import { curve } from "../page/chart.js";
+
+export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
+const AGAINST = { true: "the true tip of the virtual lab", measured: "the tracker" };
+const MAX_LISTED_NUMBERS = 12; // longer lists are shown by their length
+
+export const address = (run, what) => `/api/runs/${encodeURIComponent(run)}/${what}`;
+export const readable = (value) => (typeof value === "number" ? String(Number(value.toPrecision(5))) : String(value ?? "–"));
+const mm = (value) => (value < 10 ? value.toFixed(2) : value.toFixed(1));
+
+const cell = (text, className = "number") => make("td", { className }, text);
+const range = (values) => {
+  const [low, high] = [mm(Math.min(...values)), mm(Math.max(...values))];
+  return low === high ? high : `${low} … ${high}`;
+};
+
+/** Return the largest and the RMS distance from the desired tip [mm] over all cases, as texts; dashes without cases. */
+export function errorSummary(run) {
+  const cases = Object.values(run.outcomes);
+  return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];
+}
+
+/** Return the outcome of a run and its cause. */
+export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`;
+
+function numbers(run) {
+  const cases = Object.entries(run.outcomes), many = cases.length > 1;
+  if (cases.length === 0) return make("p", { className: "dim" }, "No errors of the tip: the motion did not start, had no path, or ended before the evaluated part.");
+  const forces = cases.some(([, one]) => one.force !== null);
+  const head = ["", "x", "y", "z", "distance", ...(forces ? ["force"] : [])].map((text) => make("th", { className: text === "" ? "" : "number" }, text));
+  const row = (title, axes, distance, force) => make("tr", {}, cell(title, ""), ...axes.map((x) => cell(mm(x))), cell(make("b", {}, mm(distance))), forces ? cell(force) : null);
+  const rows = cases.flatMap(([name, one]) => [
+    ...(many ? [make("tr", {}, make("th", { colSpan: head.length }, name.replaceAll("_", " ")))] : []),
+    row("largest", one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
+    row("RMS", one.rms, one.rms_distance, ""),
+  ]);
+  const [, first] = cases[0];
+  return make("div", {}, make("table", {}, make("tr", {}, ...head), ...rows),
+    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.`));
+}
+
+/** Return charts with the curves of all `cases`: [[name, curve]]. */
+function pictures(cases) {
+  const lines = (what) => cases.filter(([, one]) => one[what] !== null).map(([name, one]) => ({ name, ...one[what] }));
+  const from = Math.min(...cases.map(([, one]) => one.counted_from));
+  return make("div", {}, curve("Distance from the desired tip", "mm", lines("error"), from), curve("Force at the tip", "N", lines("force")));
+}
+
+/** Request the curves of a run by case. The first request takes some seconds. */
+const curvesOf = (id) => request("GET", address(id, "curves"));
+
+/** Return the card of a run. */
+export function card(run) {
+  const drawing = make("div", {}, make("p", { className: "small dim" }, run.cases.length ? "loading curves …" : "Nothing was recorded."));
+  if (run.cases.length) {
+    curvesOf(run.id).then((curvesByCase) => {
+      const cases = Object.entries(curvesByCase).map(([name, one]) => [name.replaceAll("_", " "), one]);
+      drawing.replaceChildren(...(cases.length ? [pictures(cases)] : []));
+    }).catch((error) => drawing.replaceChildren(make("p", { className: "small dim" }, `no curves: ${error.message}`)));
+  }
+  return make("div", { className: "result" }, make("p", { className: `ended ${run.label}` }, ended(run)), numbers(run), drawing);
+}
+
+/** Flatten a nested summary: [[path, value]]; a long list becomes its length. */
+export function flat(value, path = "") {
+  if (Array.isArray(value) && value.every((one) => one === null || typeof one !== "object")) {
+    return [[path, value.length > MAX_LISTED_NUMBERS ? `${value.length} numbers` : value.map(readable).join(", ")]];
+  }
+  if (value === null || typeof value !== "object") return [[path, value]];
+  return Object.entries(value).flatMap(([key, one]) => flat(one, path === "" ? key : `${path} · ${key}`));
+}
+
+/** Return a folded table; its rows are created when it is opened. */
+export function folded(title, rows, id = "") {
+  const details = make("details", { id }, make("summary", {}, title));
+  details.addEventListener("toggle", () => {
+    if (details.open && details.children.length === 1) details.append(make("table", {}, ...rows()));
+  });
+  return details;
+}
+
+// ---- comparison of two runs: their numbers, their curves in one chart, and all other differences
+
+const text = (value) => make("td", { className: "any", style: "text-align:right" }, value);
+const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(2)}`;
+
+/** Return pairs of cases of two runs: cases with the same name, or the first case of each run if no names match. */
+function pairs(a, b) {
+  const [x, y] = [Object.keys(a), Object.keys(b)], both = x.filter((name) => y.includes(name)).map((name) => [name, name]);
+  return both.length || !x.length || !y.length ? both : [[x[0], y[0]]];
+}
+
+function numbersOfTwo(runs) {
+  const [a, b] = runs.map((run) => run.outcomes);
+  const rows = pairs(a, b).flatMap(([nameA, nameB]) => {
+    const [x, y] = [a[nameA], b[nameB]], named = nameA === nameB ? nameA : `${nameA}, ${nameB}`;
+    const line = (title, p, q, digits = mm) => [title, p === null ? "–" : digits(p), q === null ? "–" : digits(q), p === null || q === null ? "" : signed(q - p)];
+    return [
+      ...(pairs(a, b).length > 1 ? [[named.replaceAll("_", " "), "", "", ""]] : []),
+      line("largest distance", x.largest_distance, y.largest_distance),
+      ...["x", "y", "z"].map((axis, i) => line(`largest in ${axis}`, x.largest[i], y.largest[i])),
+      line("RMS distance", x.rms_distance, y.rms_distance),
+      line("largest force", x.force, y.force, (force) => force.toFixed(2)),
+    ];
+  });
+  if (rows.length === 0) rows.push(["largest, RMS", ...runs.map((run) => errorSummary(run).join(", ")), ""]);
+  return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map((value) => cell(value))));
+}
+
+/** Return a table row for each entry in which the summaries of two runs differ. */
+function differences(runs) {
+  const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label })));
+  return [...new Set([...a.keys(), ...b.keys()])].filter((key) => a.get(key) !== b.get(key)).map((key) => {
+    const [x, y] = [a.get(key), b.get(key)], difference = typeof x === "number" && typeof y === "number" ? readable(y - x) : "≠";
+    return make("tr", {}, make("td", { className: "any" }, key), text(readable(x)), text(readable(y)), text(difference));
+  });
+}
+
+function overlaidCurves(runs) {
+  const element = make("div", {}, make("p", { className: "small dim" }, "loading their curves …"));
+  Promise.all(runs.map((run) => curvesOf(run.id))).then(([a, b]) => {
+    const matched = pairs(a, b), choice = make("select", { "aria-label": "case" }, ...matched.map(([nameA]) => make("option", {}, nameA.replaceAll("_", " "))));
+    const drawn = make("div");
+    const draw = () => {
+      const [nameA, nameB] = matched[Math.max(0, choice.selectedIndex)] ?? [];
+      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, "There are no curves: one of the runs has no motion.")
+        : pictures([[`1: ${runs[0].id}`, a[nameA]], [`2: ${runs[1].id}`, b[nameB]]]));
+    };
+    choice.addEventListener("change", draw);
+    choice.hidden = matched.length < 2;
+    element.replaceChildren(choice, drawn);
+    draw();
+  }).catch((error) => element.replaceChildren(make("p", { className: "small dim" }, `no curves: ${error.message}`)));
+  return element;
+}
+
+/** Return the comparison of two runs, the older one first. */
+export function comparison(chosen) {
+  const runs = [...chosen].sort((a, b) => a.started - b.started);
+  const names = runs.map((run, i) => make("th", {}, `${i + 1}: ${run.title || run.experiment || run.id}`));
+  const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
+  const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
+  return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),
+    folded("All differences", () => differences(runs)));
+}

@@ -1,0 +1,72 @@
+// The scene in its frame, which is loaded under this page's identity and reconnects; and the switches below the scene.
+import { $, client, latest, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+
+const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
+
+frame.addEventListener("load", () => {
+  if (frame.contentDocument === null) return; // the scene was not loaded, and the browser shows an error page
+  // viser reconnects only while its document has the focus, which a frame seldom has.
+  frame.contentDocument.hasFocus = () => !document.hidden;
+  // viser's control panel is hidden, because it is empty: this page has all controls.
+  const style = frame.contentDocument.createElement("style");
+  style.textContent = "[data-testid=floating-panel], #root .mantine-Paper-root, #webgl-software-rendering { display: none !important; }"
+    + ` canvas[data-engine] { background: ${getComputedStyle(document.body).backgroundColor}; }`;
+  frame.contentDocument.head.append(style);
+});
+// The scene follows the page's theme.
+const darkTheme = matchMedia("(prefers-color-scheme: dark)");
+const loadScene = () => { frame.src = `/viser/as/${client}/${darkTheme.matches ? "?darkMode" : ""}`; };
+darkTheme.addEventListener("change", loadScene);
+loadScene();
+
+// After a dropped connection viser checks the focus only when a focus event arrives.
+setInterval(() => { if (frame.contentDocument !== null) frame.contentWindow.dispatchEvent(new Event("focus")); }, 2000);
+
+// Views and close-up are imported separately, so that the scene does not wait for the answer that they need.
+import("./overlays.js").catch((error) => note(`the views and the close-up of the tip could not be loaded (${error.message}); reload the page`));
+
+let userChanges = 0, pending = 0; // changes by the user, and unanswered requests; an older answer must not undo a change
+
+for (const box of boxes) {
+  box.addEventListener("change", async () => {
+    userChanges += 1;
+    pending += 1;
+    await sendCommand("PUT", "/api/scene", Object.fromEntries(boxes.map((one) => [one.name, one.checked])));
+    pending -= 1;
+    refresh();
+  });
+}
+$("go").addEventListener("click", () => sendCommand("POST", "/api/scene/target/go", {}));
+
+let disconnectedPolls = 0; // consecutive polls without a connected scene
+
+/** Show a message if the scene is stale or disconnected; only with a current status it calls numbers and STOP live. */
+function showConnection(stale) {
+  $("scene-cut").hidden = !stale && disconnectedPolls < 3;
+  $("scene-cut").textContent = stale ? "Nothing here is live: the page receives no data from the station." : "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
+}
+
+async function refresh() {
+  const before = userChanges;
+  try {
+    const settings = await request("GET", "/api/scene", undefined, 1000);
+    disconnectedPolls = settings.connected ? 0 : disconnectedPolls + 1;
+    if (pending === 0 && before === userChanges) for (const box of boxes) box.checked = settings[box.name];
+    $("target-box").hidden = !settings.target;
+    if (!settings.target) return;
+    const target = await request("GET", "/api/scene/target", undefined, 1000);
+    const position = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
+    const direction = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
+    const targetText = `(${position}) mm${direction}`;
+    $("target-says").textContent = target.reachable ? `✓ reachable: ${targetText}; the motion takes ${target.duration.toFixed(0)} s` : `✗ ${targetText}: ${target.reason}`;
+    $("target-says").title = $("target-says").textContent;
+    const status = latest();
+    $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);
+  } catch {
+    return; // the page's header reports that the station does not answer
+  }
+}
+setInterval(refresh, 600);
+onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = stale || !mayCommand(status); });
+refresh();
+request("GET", "/api/rig").then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });
