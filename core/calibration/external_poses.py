@@ -9,7 +9,7 @@ The fit is that of `prediction`, with these differences:
 * The fit excludes outliers, for example poses at which the tubes snapped to another shape, and measurement mistakes.
 * The measured point may be centimetres from the tip.
 * A joint may lag by much more than a drive's play, because friction between the tubes winds the tubes up. With the
-  extent `friction` the fit includes a wind-up of each tube, computed from the order of the poses (`windup`).
+  extent `friction` the fit includes a wind-up of each tube, computed from the order of the poses (`residual.wind_ups`).
 
 The fit includes only parameters that the poses can determine (`fit_parameters`). `Fit.weak` lists the parameter
 combinations that the poses do not determine.

@@ -10,7 +10,7 @@ adds the residual R a_k - A d for each direction d in the tip's frame.
 A joint whose drive has play (backlash) lags by half of the play: q_k is the stage's position minus half the play times
 the direction of the joint's last motion (`Measurement.came`). Where `came` is known, a fit of tubes also fits the plays
 of all joints, unless `lags` selects other joints; a play that is not fitted adds to the noise. Tubes with friction lag
-by their wind-up (`windup`), which needs `Measurement.path`.
+by their wind-up (`residual.wind_ups`), which needs `Measurement.path`.
 
 An error of the measured load moves the model's tip through the compliance C. With the standard deviations sigma_p of
 the coil's position and sigma_F of the force, the covariance of a residual is sigma_p^2 1 + sigma_F^2 C C^T.

@@ -2,8 +2,17 @@
 
 Kernel ridge regression predicts the residual at each pose from the residuals at other poses (cross-validation). The
 inputs of the regression are the joint positions alone, or the joint positions and each tube's wind-up from the previous
-motions (`windup`). A part of the residual that the joint positions predict is a smooth function, and a learned
+motions (`wind_ups`). A part of the residual that the joint positions predict is a smooth function, and a learned
 correction could remove it. A part that only the previous motions predict is due to friction.
+
+Friction twists a tube that turns inside another tube until it slips. The wind-up s of a tube [rad], by which its
+rotation lags behind its base, follows Dahl's law with one parameter, the half lag h, which is the largest wind-up. A
+rotation by d relative to the tube around it (for the outermost tube: relative to the tube inside it) changes s to
+
+    s' = exp(-|d| / h) s + (1 - exp(-|d| / h)) h sign(d)
+
+A long rotation therefore ends at s = +-h. From s = 0, a rotation much shorter than h does not move the tube's distal
+end. The law ignores sliding. It assumes that joints turn monotonically from pose to pose.
 """
 
 import math

@@ -98,7 +98,13 @@ class CoilAxis(NamedTuple):
 
 
 def coil_axis(turns: Array, measured: Array) -> CoilAxis:
-    """Estimate the coil axis from tip frames (m, 3, 3) and measured coil axes (m, 3) of m poses, robot's frame."""
+    """Estimate the coil axis from tip frames (m, 3, 3) and measured coil axes (m, 3) of m poses, robot's frame.
+
+    The tip frames come from an earlier fit to positions alone. In the tip frame the measured axis should be the same at
+    all poses, so the result is the mean over the poses. A model whose tubes bend too much causes nearly the same error
+    in the tip frame at all poses, which cannot be distinguished from a misaligned coil. The deviation of single poses
+    from the mean shows how good the model is.
+    """
     there = np.einsum("mji,mj->mi", turns, measured)
     there /= np.linalg.norm(there, axis=1, keepdims=True)
     mean = there.mean(axis=0)

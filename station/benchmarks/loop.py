@@ -29,7 +29,11 @@ PARENT_CHECK_PERIODS = 500
 
 
 class TimerProbe:
-    """Process that wakes every 2 ms on one processor and records its lateness; used in a `with` block."""
+    """Process that wakes every 2 ms on one processor and records its lateness; used in a `with` block.
+
+    The kernel or the host of a virtual machine delays this timer, and no program on the computer can prevent such a
+    delay. The lateness of the timer is the lower bound of the loop's lateness.
+    """
 
     def __init__(self, core: int | None) -> None:
         """Start the process on `core`, the processor of the control loop; None: on any processor."""

@@ -45,7 +45,10 @@ class UsedSetpoint(NamedTuple):
 
 
 class Delays(NamedTuple):
-    """Parts of the delay, with one element for each pair of a used setpoint and an axis [s]."""
+    """Parts of the delay, with one element for each pair of a used setpoint and an axis [s].
+
+        sent -- hearing --> received -- tick --> tick -- line --> first byte of the axis's next velocity
+    """
 
     hearing: Array  #: time from the sending of the setpoint to its reception by the server
     tick: Array  #: time from the reception to the tick that uses the setpoint

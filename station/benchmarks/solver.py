@@ -2,7 +2,7 @@
 
 The robots have two, three or four random tubes, or three published tubes, with EI / GJ from 1.0 to 2.0 or as
 published. Their poses are random and valid. Every pose without load must have a solution, and nearly every pose under a
-force. Each solution must be stable, which `elastic_energy` checks. Each solution must also be the shape that the robot
+force. Each solution must be stable, which `lowest` checks. Each solution must also be the shape that the robot
 reaches from rest: the exact rod, moved in small steps, shows this shape. All poses are drawn from a seed. The
 unit tests run a part of these poses.
 """
@@ -29,7 +29,10 @@ ZERO_EIGENVALUE = 1e-6
 def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
     """Return the smallest eigenvalue of the energy's second derivatives, divided by their largest diagonal entry.
 
-    A negative value means that the shape is unstable.
+    A negative value means that the shape is unstable. The shape is divided into elements. Each element has a frame at
+    each end, and the rotations of the tubes there. The logarithm of the rotation between both frames gives curvature
+    and torsion, and these give the elastic energy. This computation uses no equation of equilibrium and no analytic
+    second variation, and its discretisation differs from that of the solver.
 
     Args:
         robot: robot with the tubes.

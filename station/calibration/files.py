@@ -29,6 +29,8 @@ VISITS_FILE, REPORT_NUMBERS_FILE, REPORT_FILE = "visits.json", "report.json", "r
 def new_folder(out: Path, name: str) -> Path:
     """Create a new folder in `out`; a number is appended if the name exists.
 
+    The folder is created before its files, which reserves its name.
+
     Raises:
         ConfigError: `out` cannot be written to.
     """

@@ -29,6 +29,7 @@ def line_of(text: str, *keys: str) -> int | None:
     """Return the line, counted from 1, of the first of `keys` that is set (`devices.stages.port`, `tubes.0.name`).
 
     If no key is set, return the line of the table that should contain one; None if the table is missing, too.
+    (`tomllib` does not provide line numbers.)
     """
     lines = _lines(text)
     paths = [tuple(key.split(".")) for key in keys]

@@ -31,7 +31,11 @@ Line = Mapping[str, Any]
 
 
 class Candidates:
-    """File with the candidates of one search, locked until it is closed."""
+    """File with the candidates of one search, locked until it is closed.
+
+    The first line identifies the search; every other line is an evaluated robot. A kill or a full disk may leave an
+    incomplete last line; the next search drops this line and evaluates its candidate again.
+    """
 
     def __init__(self, folder: Path, study: Study) -> None:
         """Create the file, or continue an existing one.

@@ -61,6 +61,17 @@ class BestPath(NamedTuple):
 def best_path(statics: Statics, limits: Limits, joints: Array, velocity: Array, course: LoadCourse) -> BestPath:
     """Return the joint path whose largest tip error is as small as possible.
 
+    The computation knows the whole course of load and setpoint in advance, without noise, delay or model error. No real
+    controller can do better.
+
+        minimise  max_k |F(q_k, w_k) - target_k|
+        subject to  q_0 given,  |q_k+1 - q_k| <= speed dt,  |v_k+1 - v_k| <= acceleration dt,  travel
+
+    Sequential linear programming solves this problem. The model's tip F is linearised along the path with the Jacobian
+    J(q, w). The distance to the target is approximated by the largest projection of the tip error on a set of
+    directions; missing directions are added (Kelley 1960). Each step stays within a trust region. The result is a local
+    minimum: the search starts from a greedy path that moves straight toward the target.
+
     Args:
         statics: model of the simulated real robot.
         limits: speed, acceleration and travel of its joints; limits of several joints together are ignored.

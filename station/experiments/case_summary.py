@@ -26,7 +26,11 @@ class StepFit(NamedTuple):
 
 
 def fit_step(times: Array, response: Array) -> StepFit:
-    """Return the least-squares fit of the response (m,) to a unit step at time 0, `times` (m,) [s]."""
+    """Return the least-squares fit of the response (m,) to a unit step at time 0, `times` (m,) [s].
+
+    The response is a first-order lag with dead time, as in the paper's eq. (31). The control loop contains an
+    integrator, so the final value equals the step; the fit finds the rate and the dead time.
+    """
 
     def miss(parameters: Array) -> Array:
         rate, dead_time = parameters

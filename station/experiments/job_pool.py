@@ -29,7 +29,11 @@ from station.threads import one_thread_during
 
 @contextmanager
 def interrupts() -> Iterator[Callable[[], bool]]:
-    """Return a function that reports whether Ctrl-C was pressed; a second press raises KeyboardInterrupt."""
+    """Return a function that reports whether Ctrl-C was pressed; a second press raises KeyboardInterrupt.
+
+    A KeyboardInterrupt may occur at any instruction, and inside compiled code it becomes a SystemError. A loop that
+    polls this function ends at a safe point instead.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False  # Python delivers signals to the main thread only
         return
@@ -48,7 +52,11 @@ def interrupts() -> Iterator[Callable[[], bool]]:
 
 
 def warm_up() -> None:
-    """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code."""
+    """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
+
+    A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
+    the model of the robot and checks the motions of the experiment on it.
+    """
     robot = load_robot("paper")
     joints = np.array([0.0, 0.5 * math.pi, -0.1])
     controller = ControllerFile().controller(robot)

@@ -19,7 +19,11 @@ from station.solve_many import solve_many
 
 
 class ShapeSolver(Protocol):
-    """Interface of a solver for the tips of k robots; each row of an array belongs to one robot."""
+    """Interface of a solver for the tips of k robots; each row of an array belongs to one robot.
+
+    A robot can have several shapes at the same joint positions. A solver starts from the robot's previous shape, so
+    that the simulated robot snaps where a real robot would.
+    """
 
     def replace(self, row: int, robot: Robot) -> None:
         """Use another robot in this row from now on."""
