@@ -47,7 +47,7 @@ class UsedSetpoint(NamedTuple):
 class Delays(NamedTuple):
     """Parts of the delay, with one element for each pair of a used setpoint and an axis [s].
 
-        sent -- hearing --> received -- tick --> tick -- line --> first byte of the axis's next velocity
+    sent -- hearing --> received -- tick --> tick -- line --> first byte of the axis's next velocity
     """
 
     hearing: Array  #: time from the sending of the setpoint to its reception by the server
