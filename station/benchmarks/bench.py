@@ -162,7 +162,8 @@ def many(rows: int = 20_000, tubes: int = 5) -> dict[str, Any]:
     """Measure cold solves at random poses and warm solves along a path; by cores, and for 1 to `tubes` tubes.
 
     `ratio` is the speed of a batch relative to single calls of `solve` at some of the same rows. With `tubes` 0 the
-    measurement by tubes is omitted.
+    measurement by tubes is omitted. The rate of one core is the number of solves in a second of processor time, which
+    does not depend on other programs. The rate of several cores is the number of solves in a second of real time.
     """
     model = Statics(cases()["paper"].robot)
     cold, warm = random_rows(rows), wandering_rows(rows)

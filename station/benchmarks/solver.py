@@ -31,8 +31,9 @@ def lowest(robot: Robot, solution: Solution, longest: float = 0.005) -> float:
 
     A negative value means that the shape is unstable. The shape is divided into elements. Each element has a frame at
     each end, and the rotations of the tubes there. The logarithm of the rotation between both frames gives curvature
-    and torsion, and these give the elastic energy. This computation uses no equation of equilibrium and no analytic
-    second variation, and its discretisation differs from that of the solver.
+    and torsion, and these give the elastic energy. Small changes of all variables give the second derivatives. Only the
+    shape comes from the solver. This computation uses no equation of equilibrium and no analytic second variation, and
+    its discretisation differs from that of the solver.
 
     Args:
         robot: robot with the tubes.

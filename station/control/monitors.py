@@ -113,7 +113,11 @@ UNBLOCKED_TIME_S = 0.5  #: time without an active limit or singular pose after w
 
 
 class ProgressMonitor:
-    """Monitor of one motion; the control loop calls `check` at every tick with a tracker frame."""
+    """Monitor of one motion; the control loop calls `check` at every tick with a tracker frame.
+
+    A motion ends if the tip makes no progress for `STALL_TIME_S` at a limit or near a singular pose, or if the force on
+    the tip exceeds the bound of tubes and sensors (`Limits.overload`) for `OVERLOAD_TIME_S`.
+    """
 
     def __init__(self) -> None:
         self._blocked_at = -math.inf  # last time at a limit or near a singular pose [s]

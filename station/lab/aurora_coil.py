@@ -12,7 +12,7 @@ from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import TrackerConfig
 
 WAVE_COUNT = 8
-#: Shortest and longest wave of the distortion [m].
+#: Shortest and longest wave of the distortion [m]; the shortest is longer than half of the measured cube.
 MIN_WAVELENGTH_M, MAX_WAVELENGTH_M = 0.30, 1.0
 #: Number of points along each edge of the measured cube at which the RMS of the distortion is computed.
 GRID_POINTS = 12
@@ -20,7 +20,10 @@ GRID_POINTS = 12
 
 @dataclass(frozen=True)
 class Distortion:
-    """Position error of the tracker as a function of the position."""
+    """Position error of the tracker by nearby metal: a smooth function of the position, constant in time.
+
+    The error is a sum of plane waves, drawn from a seed and scaled to the configured RMS.
+    """
 
     waves: Array  #: wave vectors (w, 3) [rad/m]
     phases: Array  #: (w,) [rad]

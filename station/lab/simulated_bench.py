@@ -59,7 +59,11 @@ class TargetWaves(NamedTuple):
 
 
 class MovingTarget:
-    """Position of the target as a function of time; its lines and phases are drawn once."""
+    """Position of the target as a function of time; its lines and phases are drawn once.
+
+    The target breathes along one line and beats like a heart along another line. Rate and size of both oscillations
+    drift, so that the station has to predict a target that is not exactly periodic.
+    """
 
     def __init__(self, config: TargetConfig, tip: Array, rng: np.random.Generator) -> None:
         """The target's middle is at the configured offset from `tip` (3,) [m]."""

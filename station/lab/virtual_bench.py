@@ -226,7 +226,9 @@ WARMUP_TICKS = 1500
 def warm_up_control(
     robot: RobotFile, config: LabConfig, seed: int, park: tuple[float, ...], controller: Controller
 ) -> None:
-    """Compile all code that a tick can call.
+    """Compile all code that a tick can call, by running the control loop on a simulated bench in memory.
+
+    Otherwise a tick of the running station would wait for the compiler and be late.
 
     Args:
         robot: robot of the station.

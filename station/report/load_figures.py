@@ -55,7 +55,7 @@ SIDES = ("applied", "removed")
 
 
 def paper_force(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield the force figure of the first case: 100 to 200 s as in the paper, or the whole of a shorter run."""
+    """Yield the force of the first case: 100 to 200 s as in the paper's Fig. 9, or the whole of a shorter run."""
     if run.cases:
         case, title = run.cases[0], "Fig. 9: estimated force at the tip"
         span = (PAPER_START_S, PAPER_END_S) if case.time[-1] > PAPER_START_S else (0.0, math.inf)
@@ -98,7 +98,7 @@ def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: fl
 
 
 def deflection(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield a figure with the total deflection, its compliance part and its Jacobian part, per axis."""
+    """Yield figures like the paper's Fig. 4: total deflection, its compliance and Jacobian parts by eq. (22)."""
     for case in run.cases:
         figure, axes = style.stacked([rf"$\Delta_{axis}$ [mm]" for axis in style.AXES])
         for group, line in DEFLECTION_PARTS:

@@ -39,7 +39,10 @@ ERROR_LABELS = [f"$E_{axis}$ [mm]" for axis in style.AXES]
 
 
 def tracking(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield a figure of tip error and force for each case; the case of the paper comes first."""
+    """Yield a figure like the paper's Figs. 7, 8 and 10 for each case: tip error per axis, and force.
+
+    The case of the paper comes first.
+    """
     for number, case in enumerate(run.cases):
         if number == 0:
             yield tracking_error(run, case, run.experiment, TRACKING_TITLES[run.experiment])
@@ -94,7 +97,7 @@ def _counted_errors(case: RecordedCase) -> dict[str, Array]:
 
 
 def strategies(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield a figure of positions as in the paper, and one of errors, where strategies (c) and (d) differ visibly."""
+    """Yield tip positions as in the paper's Fig. 3, and tip errors, where strategies (c) and (d) differ visibly."""
     if not run.cases:
         return
     lines = [style.series(number, STRATEGY_TITLES.get(case.name, case.name)) for number, case in enumerate(run.cases)]
@@ -135,7 +138,10 @@ def strategies(run: RecordedRun) -> Iterator[ReportFigure]:
 
 
 def models(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield figures with the measured tip and the tips of both models per axis, and the distance of each model."""
+    """Yield figures like the paper's Fig. 6: measured tip, tips of both models per axis, and distance of each model.
+
+    In the experiment of this figure the outer tube rotates.
+    """
     for case in run.cases:
         at, measured = case.measured_tip()
         tips = {name: _model_tip(case, group, at) for name, group, _ in MODELS}

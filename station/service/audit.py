@@ -180,7 +180,10 @@ FAILURE_STATES = (State.HOLD, State.FAULT)
 
 
 class FlightRecorder:
-    """Writer of state changes to the audit log, and of the last second of telemetry to files; both are optional."""
+    """Writer of state changes to the audit log, and of the last second of telemetry to files; both are optional.
+
+    A separate thread writes, so that the supervision of the control loop never waits for a disk.
+    """
 
     def __init__(self, ring: Ring, channels: Channels, audit: Audit | None, folder: Path | None, session: str) -> None:
         self._ring, self._channels, self._audit, self._folder = ring, channels, audit, folder

@@ -86,7 +86,9 @@ MAX_TIP_JUMP_M = 2e-3
 
 
 def goto_working_pose(bench: Rig) -> StartRequest:
-    """Return the start request of the motion to the working pose.
+    """Return the start request of the motion to the working pose, which also follows homing.
+
+    The robot's file defines the working pose, which leaves room for motions.
 
     Raises:
         ConfigError: the robot's file has no working pose.

@@ -22,7 +22,10 @@ SUMMARY_INTERVAL_S, MAX_WRITTEN = 60.0, 100
 
 
 class Refusals:
-    """Log of refused requests: the first requests are written in full, further ones are counted. Not thread-safe."""
+    """Log of refused requests: the first requests are written in full, further ones are counted. Not thread-safe.
+
+    The number of lines is limited because a page of another site can send thousands of different requests a second.
+    """
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock
@@ -70,7 +73,10 @@ class _Minute:
 
 
 class Repeats:
-    """Log of repeated commands: the first commands are written in full, further ones are counted. Not thread-safe."""
+    """Log of repeated commands: the first commands are written in full, further ones are counted. Not thread-safe.
+
+    Senders are distinguished by role and network address, because a client may change its name with every request.
+    """
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock

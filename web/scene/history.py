@@ -17,7 +17,10 @@ from station.service.status import STALE_AFTER_S, StationStatus
 
 
 class TargetVisibility:
-    """Detector of a visible target; it must receive all rows of telemetry."""
+    """Detector of a visible target; it must receive all rows of telemetry.
+
+    The target's channels do not show a loss of the target, because they keep their last values.
+    """
 
     def __init__(self, channels: Channels) -> None:
         self._channels = channels

@@ -65,7 +65,12 @@ def clear_left_behind() -> None:
 
 
 class PortLock:
-    """Lock of one device."""
+    """Lock of one device: a lock on a file that is named after the device, kept while its link is open.
+
+    Unix systems let two programs open one serial port, and a Net F/T box serves only the latest client. The operating
+    system releases the lock when the process ends for any reason. On Windows this class locks nothing, because Windows
+    opens a serial port only once.
+    """
 
     def __init__(self, url: str) -> None:
         """Lock the device.
@@ -173,7 +178,11 @@ def describe(device: str, ports: Sequence[UsbPort]) -> UsbPort | None:
 
 
 def find(known: UsbPort, ports: Sequence[UsbPort]) -> str | None:
-    """Return the present name of a known adapter among `ports`; None if it is absent or ambiguous."""
+    """Return the present name of a known adapter among `ports`; None if it is absent or ambiguous.
+
+    A USB adapter that was unplugged may return under another name. It is recognised by its serial number or, if it has
+    none, by its USB socket. The driver then identifies the device.
+    """
     similar = [p for p in ports if (p.vendor, p.product, p.serial) == (known.vendor, known.product, known.serial)]
     if known.serial:
         # All ports of one adapter have the same serial number; they differ in the interface only.
