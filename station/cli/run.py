@@ -46,7 +46,7 @@ def _run(parsed: argparse.Namespace) -> int:
         return _run_experiment(parsed, None)
     with JobPool(jobs) as started:
         # Load or compile the lab's code while the experiment is read and checked on the model.
-        from station.experiments.job_pool import warm_up
+        from station.experiments.runner import warm_up
 
         started.prepare(warm_up)
         return _run_experiment(parsed, started)

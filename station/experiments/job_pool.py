@@ -3,7 +3,6 @@
 Jobs share no state, so the results are the same as those of a serial run.
 """
 
-import math
 import os
 import signal
 import threading
@@ -14,16 +13,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, Self, TypeVar, cast
 
-import numpy as np
-
-from core.control.command import command
-from core.control.trajectories import Setpoint
 from core.errors import CtrError
-from core.model.solution import at_rest
-from station.config.controllers import ControllerFile
-from station.config.robots import load_robot
-from station.lab.config import LabConfig
-from station.lab.virtual_bench import virtual_bench
 from station.threads import one_thread_during
 
 
@@ -49,26 +39,6 @@ def interrupts() -> Iterator[Callable[[], bool]]:
         yield pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def warm_up() -> None:
-    """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
-
-    A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
-    the model of the robot and checks the motions of the experiment on it.
-    """
-    robot = load_robot("paper")
-    joints = np.array([0.0, 0.5 * math.pi, -0.1])
-    controller = ControllerFile().controller(robot)
-    rest = at_rest(joints, math.inf, len(robot.tubes))
-    estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
-    bench = virtual_bench(robot, LabConfig(), 0, joints)
-    bench.lab.advance(0.0)
-    bench.devices.sensors.connect(0.0)
-    bench.lab.advance(0.01)
-    bench.devices.sensors.poll(0.01)
-    zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
-    command(controller.strategy, controller.feedback, controller.limits, joints, estimate, zero, still, zero, zero)
 
 
 #: Time between two progress reports of the jobs [s].

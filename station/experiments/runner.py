@@ -1,5 +1,6 @@
 """Runner of one case: the control loop of the real station in the virtual lab, on a real or virtual clock."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -7,9 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.control.command import command
+from core.control.trajectories import Setpoint
 from core.errors import CtrError
+from core.model.solution import at_rest
 from core.robot.robot import Array
-from station.config.controllers import PERIOD_S
+from station.config.controllers import PERIOD_S, ControllerFile
+from station.config.robots import load_robot
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.realtime import uncollected
@@ -18,6 +23,7 @@ from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case
 from station.experiments.job_pool import interrupts
+from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
 
 #: Longest time to wait until the devices are connected and the station is READY [s].
@@ -132,3 +138,23 @@ def _connect_problem(loop: ControlLoop, now: float) -> str:
     devices = loop.devices
     troubles = [device.trouble(now) for device in (devices.stages, devices.tracker, devices.sensors)]
     return "; ".join(trouble.text for trouble in troubles if trouble is not None) or "the stages are not homed"
+
+
+def warm_up() -> None:
+    """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
+
+    A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
+    the model of the robot and checks the motions of the experiment on it.
+    """
+    robot = load_robot("paper")
+    joints = np.array([0.0, 0.5 * math.pi, -0.1])
+    controller = ControllerFile().controller(robot)
+    rest = at_rest(joints, math.inf, len(robot.tubes))
+    estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
+    bench = virtual_bench(robot, LabConfig(), 0, joints)
+    bench.lab.advance(0.0)
+    bench.devices.sensors.connect(0.0)
+    bench.lab.advance(0.01)
+    bench.devices.sensors.poll(0.01)
+    zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
+    command(controller.strategy, controller.feedback, controller.limits, joints, estimate, zero, still, zero, zero)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.robot.robot import Array
-from station.experiments.case_summary import fit_step, fold
+from station.experiments.results import fit_step, fold
 from station.report import style
 from station.report.document import ReportFigure
 from station.report.run import RecordedCase, RecordedRun

@@ -8,8 +8,9 @@ import pytest
 from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
-from station.experiments.case_summary import case_facts, describe_keys, fit_step, fold, load_windows, window_name
+from station.experiments.case_summary import case_facts, describe_keys, load_windows, window_name
 from station.experiments.experiment import offered_experiment
+from station.experiments.results import fit_step, fold
 from station.lab.faults import LabFault
 from tests.harness.cases import a_case
 

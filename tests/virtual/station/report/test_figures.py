@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from station.experiments.case_summary import fit_step
+from station.experiments.results import fit_step
 from station.recording.read import CaseRecording, read_case
 from station.report import load_figures, loop_figures, style, tip_figures
 from station.report.facts import head, origin
