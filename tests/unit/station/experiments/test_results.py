@@ -154,16 +154,16 @@ def test_a_recording_without_rows_has_no_errors(recording):
     assert "max_abs_error_mm" not in summarise(empty)
 
 
-TIMES = np.arange(0.0, 6.0, 0.002)
+STEP_TIMES = np.arange(0.0, 6.0, 0.002)
 
 
 @pytest.mark.parametrize("rate", [1.0, 2.5, 5.0])
 @pytest.mark.parametrize("dead_time", [0.0, 0.03, 0.2])
 def test_the_step_fit_recovers_rate_and_dead_time_of_a_noisy_response(rate, dead_time):
-    noise = np.random.default_rng(1).normal(scale=0.05, size=TIMES.size)
-    response = np.where(dead_time < TIMES, 1.0 - np.exp(-rate * (TIMES - dead_time)), 0.0)
+    noise = np.random.default_rng(1).normal(scale=0.05, size=STEP_TIMES.size)
+    response = np.where(dead_time < STEP_TIMES, 1.0 - np.exp(-rate * (STEP_TIMES - dead_time)), 0.0)
 
-    exact, noisy = fit_step(TIMES, response), fit_step(TIMES, response + noise)
+    exact, noisy = fit_step(STEP_TIMES, response), fit_step(STEP_TIMES, response + noise)
 
     assert exact == pytest.approx((rate, dead_time), abs=1e-3)
     assert noisy.rate == pytest.approx(rate, rel=0.03)
@@ -171,11 +171,11 @@ def test_the_step_fit_recovers_rate_and_dead_time_of_a_noisy_response(rate, dead
 
 
 def test_fold_averages_a_square_wave_into_one_step():
-    there = 1.0 - np.exp(-2.0 * TIMES)
+    there = 1.0 - np.exp(-2.0 * STEP_TIMES)
     times = np.arange(0.0, 4 * 6.0 + 1.0, 0.002)
     response = np.r_[there, 1.0 - there, there, 1.0 - there, np.zeros(500)]  # one incomplete stay at the end
 
     folded_times, folded = fold(times, response, 6.0)
 
-    np.testing.assert_allclose(folded_times, TIMES, atol=1e-9)
+    np.testing.assert_allclose(folded_times, STEP_TIMES, atol=1e-9)
     np.testing.assert_allclose(folded, there, atol=1e-12)
