@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.compiled import compiled, copy
-from core.control.controllers import FeedbackOptions, LoopInputs, Strategy, Task, TaskInputs, inner_law, outer_law
+from core.control.controllers import (
+    FeedbackOptions,
+    LoopInputs,
+    Strategy,
+    Task,
+    TaskInputs,
+    custom_rows,
+    inner_law,
+    outer_law,
+)
 from core.control.estimation import Estimate, estimate_fields
-from core.control.tip_direction import POSITION_ONLY, TaskSelection
+from core.control.tip_direction import POSITION_ONLY, DirectionTask, TaskSelection
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import (
     NO_BOUNDS,
@@ -87,7 +96,7 @@ def command(
 
     Raises:
         NotFinite: the requested tip velocity or the Jacobian is not finite.
-        ContractError: a custom loop or limit raised, or returned a value that violates its interface.
+        ContractError: a custom loop, task or limit raised, or returned a value that violates its interface.
 
     """
     n = joints.size
@@ -102,7 +111,7 @@ def command(
     others = VelocityTask(no_rows(n), NO_BOUNDS)
     if tasks:
         inputs = TaskInputs(strategy.laws, feedback, now.loaded, now.unloaded)
-        parts = [task.rows(inputs) for task in tasks]
+        parts = [task.rows(inputs) if type(task) is DirectionTask else custom_rows(task, inputs) for task in tasks]
         others = VelocityTask(*(np.concatenate(sides) for sides in zip(*parts, strict=True)))
     found = CommandResult(np.empty(n), np.empty(3), np.empty(min(3, n)), np.empty(n), np.empty(room.size))
     if not _command(

@@ -69,6 +69,22 @@ class Task(Protocol):
         ...
 
 
+def custom_rows(task: Task, at: TaskInputs) -> VelocityTask:
+    """Return the rows of a custom task after checking them; the task receives copies of all arrays.
+
+    Raises:
+        ContractError: the task raised, or its rows have a wrong shape or are not finite.
+
+    """
+    who, n = f"task '{name_of(task)}'", at.loaded.joints.size
+    own = at._replace(loaded=at.loaded.copy(), unloaded=at.unloaded.copy())
+    rows, sides = pair(who, result_of(who, task.rows, own), "VelocityTask(jacobian, velocity)")
+    m = len(result_of(who, np.atleast_1d, sides))
+    return VelocityTask(
+        numbers(who, "jacobian", rows, (m, n), "m/rad or m/m"), numbers(who, "velocity", sides, (m,), "m/s")
+    )
+
+
 class OuterLoop(Protocol):
     """Outer loop: requests a tip velocity U_int from the inner loop."""
 

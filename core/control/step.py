@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.control.command import OBSERVER_DRIFT, CommandResult, command
-from core.control.controllers import FeedbackOptions, Strategy, Task
+from core.control.controllers import FeedbackOptions, Strategy, Task, TaskInputs, custom_rows
 from core.control.estimation import FRAME_USED, Estimate, Estimator, perceive
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
@@ -101,6 +101,8 @@ class Controller:
     corrections: Corrections | None = None
     #: Coordinates of the tip that are controlled: position, direction or both.
     aim: TaskSelection = POSITION_ONLY
+    #: Tasks in addition to position and direction, for robots with redundant joints.
+    tasks: tuple[Task, ...] = ()
     #: Objective that moves redundant joints; None: the preferred joint velocity is zero.
     null_space: NullSpaceObjective | None = None
     #: True: the tip's direction is estimated even if it is not controlled; a calibration needs this estimate.
@@ -110,6 +112,8 @@ class Controller:
         n = len(self.limits.joints)
         if self.aim.lever > 0.0 and self.strategy.laws is None:
             raise DescriptionError("custom loops control position only; use a built-in strategy to control direction")
+        if self.tasks and self.strategy.laws is None:
+            raise DescriptionError("custom loops control position only; use a built-in strategy with further tasks")
         if self.aim.lever > 0.0 and self.aim.rows > n:
             raise DescriptionError(f"task: {self.aim.rows} coordinates of the tip need as many joints; there are {n}")
 
@@ -135,15 +139,19 @@ class Controller:
         return kinks if len(self.limits.joints) >= self.aim.rows + 2 else Kinks(kinks.rows[:0], kinks.offsets[:0])
 
     def check_loops(self, joints: Array) -> None:
-        """Call custom loops once in the unloaded pose `joints` (n,), before the robot moves.
+        """Call custom loops and tasks once in the unloaded pose `joints` (n,), before the robot moves.
 
         Raises:
-            ContractError: a custom loop raised, or returned a value that violates its interface.
+            ContractError: a custom loop or task raised, or returned a value that violates its interface.
             CtrError: the model has no shape in this pose.
 
         """
         if self.strategy.laws is None:
             self.strategy.check(self.statics.solve(joints, _NO_LOAD))
+        elif self.tasks:
+            rest = self.statics.solve(joints, _NO_LOAD)
+            for task in self.tasks:
+                custom_rows(task, TaskInputs(self.strategy.laws, self.feedback, rest, rest))
 
     def tare(self, readings: Array, joints: Array) -> Array:
         """Return the tare (q, 6) of the base sensors from readings (q, 6) without load at joints (n,)."""
@@ -231,7 +239,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         direction = _direction_estimate(controller, memory.direction, now, sample)
     slope = memory.slope
     if isinstance(order, Setpoint):
-        tasks, null_space = list[Task](), None
+        tasks, null_space = list(controller.tasks), None
         if direction is not None and controller.aim.lever > 0.0:
             tasks.append(DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
         if controller.null_space is not None:

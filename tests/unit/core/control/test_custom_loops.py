@@ -1,4 +1,4 @@
-"""A custom loop or limit has the computed effect, or the tick is refused with the name of the loop or limit."""
+"""A custom loop, task or limit has the computed effect, or the tick is refused with its name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,11 +10,12 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from core.control.controllers import STRATEGIES, PositionMode, Strategy, VelocityTask, strategy, type_2
+from core.control.controllers import STRATEGIES, PositionMode, Strategy, TaskInputs, VelocityTask, strategy, type_2
 from core.control.step import Controller, ControllerState, Sample, start_controller, step
 from core.control.trajectories import Setpoint
-from core.errors import ContractError, CtrError, NotFinite
+from core.errors import ContractError, CtrError, DescriptionError, NotFinite
 from core.robot.limits import Configuration, Limits, Workspace
+from core.robot.robot import Array
 from tests.unit.core.control.test_step import POSE, Plant, controller
 
 ORDER = Setpoint(np.array([1e-3, -2e-3, 3e-3]), np.array([2e-3, 0.0, 1e-3]))
@@ -276,3 +277,57 @@ def test_custom_limit_is_refused_before_anything_moves(bench: Bench) -> None:
         replace(
             bench[0].limits, others=(Workspace((-1.0,) * 3, (1.0,) * 3), Custom((np.ones((1, 3)), np.zeros(2))))
         ).check_all(at)
+
+
+@dataclass(frozen=True)
+class CustomTask:
+    """A task that returns or raises one value."""
+
+    value: Any
+
+    def rows(self, at: TaskInputs) -> Any:
+        at.loaded.jacobian[:] = np.nan  # the task receives copies, so this has no effect
+        if isinstance(self.value, BaseException):
+            raise self.value
+        return self.value
+
+
+def tick_with(bench: Bench, *tasks: Any) -> Array:
+    """Return the joint velocities (n,) of a tick with these tasks in addition to the tip's position."""
+    unit, memory, sample = bench
+    return step(replace(unit, tasks=tasks), memory, sample, ORDER).command
+
+
+@THOROUGHLY
+@example(value=(np.zeros((1, 3)), np.array([np.nan])))
+@example(value=(np.ones((1, 3)), np.zeros(2)))
+@example(value=(np.ones(3), np.zeros(1)))
+@given(value=st.one_of(ANYTHING, st.tuples(st.one_of(ANYTHING, ROWS), st.one_of(ANYTHING, ROOM))))
+def test_custom_task_is_carried_out_inside_the_limits_or_refused_by_name(bench: Bench, value: Any) -> None:
+    good = isinstance(value, tuple) and len(value) == 2 and usable(value[0], (1, 3)) and usable(value[1], (1,))
+    if good:
+        assume(max(np.abs(value[0]).max(), np.abs(value[1]).max()) < 1e50)
+    try:
+        velocity = tick_with(bench, CustomTask(value))
+    except ContractError as error:
+        assert "task 'CustomTask'" in str(error)  # noqa: PT017 - or else the motion
+        assert not good
+    else:
+        assert good
+        assert (np.abs(velocity) <= bench[0].limits.speed * (1.0 + 1e-9)).all()
+
+
+def test_heavy_row_of_a_custom_task_outweighs_the_position_and_a_zero_row_changes_nothing(bench: Bench) -> None:
+    zero = CustomTask(VelocityTask(np.zeros((1, 3)), np.zeros(1)))
+    np.testing.assert_allclose(tick_with(bench, zero), tick_with(bench), rtol=1e-9, atol=1e-12)
+    # The row requests 0.01 rad/s of the first joint with a weight far above that of the position.
+    heavy = CustomTask(VelocityTask(np.array([[1e3, 0.0, 0.0]]), np.array([10.0])))
+    assert tick_with(bench, heavy)[0] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_custom_task_is_called_before_anything_moves_and_needs_built_in_loops(bench: Bench) -> None:
+    unit, _, sample = bench
+    with pytest.raises(ContractError, match="task 'CustomTask' raised ValueError: no"):
+        replace(unit, tasks=(CustomTask(ValueError("no")),)).check_loops(sample.joints)
+    with pytest.raises(DescriptionError, match="built-in strategy with further tasks"):
+        replace(unit, strategy=Strategy(Outer(U_INT), type_2), tasks=(CustomTask(None),))

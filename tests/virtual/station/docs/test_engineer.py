@@ -46,8 +46,22 @@ def test_custom_controller_of_the_guide_is_selected_by_name_and_runs(folder: Pat
     monkeypatch.setitem(STRATEGIES, "gentle", STRATEGIES["dual_layer"])  # undone after the test
     (folder / "gentle.py").write_text(block("python", "class Gentle"), encoding="utf-8")
     (folder / "hurry.toml").write_text(block("toml", "gently"), encoding="utf-8")
-    (folder / "try_gentle.py").write_text(block("python", "import gentle"), encoding="utf-8")
+    (folder / "try_gentle.py").write_text(block("python", "importing it registers"), encoding="utf-8")
     runpy.run_path("try_gentle.py")
+    printed(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(("module", "script"), [("class Roll", "try_roll"), ("class Plane", "try_plane")])
+def test_custom_task_and_limit_of_the_guide_have_the_results_of_the_guide(
+    folder: Path, monkeypatch, capsys, module: str, script: str
+) -> None:
+    monkeypatch.setitem(STRATEGIES, "gentle", STRATEGIES["dual_layer"])  # undone after the test
+    name = script.removeprefix("try_")
+    (folder / "gentle.py").write_text(block("python", "class Gentle"), encoding="utf-8")
+    (folder / "hurry.toml").write_text(block("toml", "gently"), encoding="utf-8")
+    (folder / f"{name}.py").write_text(block("python", module), encoding="utf-8")
+    (folder / f"{script}.py").write_text(block("python", f"from {name} import"), encoding="utf-8")
+    runpy.run_path(f"{script}.py")
     printed(capsys.readouterr().out)
 
 
