@@ -55,8 +55,9 @@ def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     for part in PARTS:
         for code in (ROOT / part).rglob("__pycache__/*.nb[ic]"):
             there = packages / code.relative_to(ROOT)
-            there.parent.mkdir(exist_ok=True)
-            shutil.copy(code, there)
+            if there.parents[1].is_dir():  # a checkout can still hold the cache of a folder that was moved
+                there.parent.mkdir(exist_ok=True)
+                shutil.copy(code, there)
     (place / "home").mkdir()
     installed = [packages, *(path for path in packages.rglob("*") if path.is_dir()), place / "home"]
     for folder in installed:
