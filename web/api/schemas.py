@@ -182,6 +182,8 @@ class StatusOut(Strict):
     """time since the last tick [s]"""
     lab: str
     """name of the virtual lab, or the drivers in use"""
+    simulated: bool
+    """true: at least one device is simulated, by a virtual lab or by its own report"""
     warnings: tuple[str, ...]
     """for example: real-time scheduling refused, tubes that snap, a contact on the shaft"""
     model: str

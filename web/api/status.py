@@ -123,6 +123,7 @@ def status_out(
         stale=stale,
         age=round(status.age, 3),
         lab=supervisor.bench.title,
+        simulated=supervisor.simulated,
         warnings=(*warnings, gateway_problem) if gateway_problem else warnings,
         model=supervisor.bench.model_note,
         max_force=supervisor.bench.max_force,

@@ -1,6 +1,7 @@
 // Entry point of the page. STOP, header and scene load first and independently; then the modules of each tab separately.
 import "./page/stop.js";
 import "./page/header.js";
+import "./page/layout.js";
 import "./scene/scene.js";
 import { note, start } from "./page/station.js";
 import { lastTab, openTab } from "./page/tabs.js";

@@ -1,11 +1,16 @@
-// The header without STOP: the next action, the operator, state and message, run, devices, loop timing.
-import { $, button, clock, confirm, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, request, sendCommand } from "./station.js";
+// The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
+import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, request, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S, STALE_AFTER_S } from "./station.js";
 import { poseText } from "./form.js";
 import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
 
 const DEVICE_NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
-const LATCHED = ["HOLD", "STOPPED", "FAULT"];
+/** Meaning of the states that last until a reset. */
+const LATCHED = {
+  HOLD: "HOLD: a fault or a limit has ended the motion. The robot keeps its position, and the motors are on. Reset makes the station ready for the next motion.",
+  STOPPED: "STOPPED: somebody has pressed STOP. Every axis stands still. Reset makes the station ready for the next motion; nothing continues by itself.",
+  FAULT: "FAULT: a device or a program has failed, and every axis was stopped. Remove the cause first, then press Reset.",
+};
 
 // ---- the next action that the station suggests
 
@@ -53,7 +58,12 @@ $("reset").addEventListener("click", reset);
 /** Show the button of the next action. Reset has a separate button; while the tab Run is open, Home replaces it. */
 function showAction(status) {
   const action = status.action === "reset" ? "" : status.action === "start" && isOpen("start") ? "home" : status.action;
-  replaceChanged($("act"), [action, action === status.action, mayCommand(status)], () => [actionButton(status, action)]);
+  const silent = isSilent();
+  replaceChanged($("act"), [action, action === status.action, mayCommand(status), silent], () => {
+    const control = actionButton(status, action);
+    if (silent && control !== null) control.disabled = true;
+    return [control];
+  });
 }
 
 // ---- the operator: take and release control, and report its loss
@@ -117,9 +127,8 @@ function showLights(devices, stale) {
     const severity = stale ? -1 : device.condition === "connected" ? device.severity : Math.max(device.severity, 1);
     const text = stale ? "no current data" : device.text || (severity === 0 ? "connected, nothing is wrong" : device.condition);
     const dot = make("i", { className: "light", "data-severity": severity });
-    const item = make("li", { title: `${DEVICE_NAMES[key] ?? key}: ${text}`, tabIndex: 0 }, dot, DEVICE_NAMES[key] ?? key);
-    item.setAttribute("aria-label", item.title);
-    return item;
+    const label = DEVICE_NAMES[key] ?? key;
+    return make("li", { title: `${label}: ${text}` }, dot, label, make("span", { className: "unseen" }, `: ${text}`));
   }));
 }
 
@@ -132,26 +141,69 @@ function showWarnings(status) {
 }
 $("mind").addEventListener("click", () => openTab("faults"));
 
+// ---- silence: a chip with the age of the data, and from one second on a banner
+
+const isSilent = () => dataAge() > SILENT_AFTER_S;
+let simulated = false; // whether the last status was one of simulated devices
+
+function showSilence() {
+  const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = age > LOST_AFTER_S;
+  $("age").hidden = age < STALE_AFTER_S;
+  setText($("age"), text);
+  if (document.body.classList.contains("silent") !== isSilent()) {
+    document.body.classList.toggle("silent", isSilent());
+    if (latest() !== null) showAction(latest());
+  }
+  $("silence").hidden = !isSilent();
+  $("silence").dataset.lost = lost;
+  const emergency = simulated ? "" : " To stop the robot now, press the emergency stop of the rig.";
+  setText($("silence"), lost
+    ? `The station does not answer: ${text}. It has ended, or its computer or the network is too busy.${emergency} The page tries again.`
+    : `${text[0].toUpperCase()}${text.slice(1)}; trying again. Nothing on this page is live.`);
+}
+setInterval(showSilence, 100);
+
+// ---- the state and its message; a latched state has a bar of its own, so that its message is shown completely
+
+const meaning = make("details", {}, make("summary", {}, "What does this mean?"), make("p"));
+$("latched").append(meaning);
+
+function showLatched(state) {
+  const latched = state in LATCHED;
+  document.body.classList.toggle("latched", latched);
+  $("latched").hidden = !latched;
+  $("latched").dataset.state = state;
+  const box = $(latched ? "latched" : "state-box");
+  if ($("message").parentElement !== box) box.insertBefore($("message"), latched ? meaning : null);
+  if (latched) setText(meaning.lastChild, LATCHED[state]);
+}
+
 onStatus((status, stale) => {
   const state = status === null ? "NO ANSWER" : status.state;
-  $("state").textContent = stale && status !== null && state !== "FAULT" ? `${state} (stale)` : state;
+  setText($("state"), state);
   $("state").dataset.state = state;
+  showLatched(state);
   if (status === null) {
-    $("says").textContent = "the station does not answer: it has ended, or its computer or the network is too busy";
-    $("next").textContent = "to stop now, press the emergency stop of the rig; if the computer is overloaded, close other pages and programs on it";
+    setText($("says"), "");
+    setText($("next"), "");
     return;
   }
-  $("says").textContent = $("says").title = status.message;
-  $("next").textContent = $("next").title = status.next;
-  document.body.classList.toggle("latched", LATCHED.includes(state));
+  simulated = status.simulated;
+  $("badge").hidden = false;
+  setText($("badge"), simulated ? "SIMULATED" : "REAL BENCH");
+  $("badge").dataset.simulated = simulated;
+  $("badge").title = status.lab;
+  setText($("says"), status.message);
+  setText($("next"), status.next);
+  if (!(state in LATCHED)) $("message").title = [status.message, status.next].filter((text) => text !== "").join(": ");
   showAction(status);
-  $("reset").hidden = !LATCHED.includes(state);
+  $("reset").hidden = !(state in LATCHED);
   $("reset").disabled = !mayCommand(status);
   showRun(status);
   showLights(status.devices, stale);
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
-  $("loop").textContent = `loop 500 Hz\nlate p99 ${late.p99.toFixed(0)} µs\nmissed ${missed}`;
-  $("loop").title = `${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99.9 ${late.p99_9} µs, max ${late.max} µs;`
-    + ` work p50 ${work.p50} µs, p99 ${work.p99} µs`;
+  setText($("loop"), `500 Hz, ${missed} missed`);
+  $("loop").title = `control loop: ${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
+    + ` p99.9 ${late.p99_9} µs, max ${late.max} µs; work p50 ${work.p50} µs, p99 ${work.p99} µs`;
 });

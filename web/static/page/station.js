@@ -190,18 +190,21 @@ export function confirm(title, action, ...content) {
 // ---- status of the station: polled several times a second, and marked as stale if it is too old
 
 // The timeout is long, because a late answer is useful, too. While the page waits, it marks its data as stale.
-const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, STALE_AFTER_MS = 480; // ms
+const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000;
+/** Age of the status [s] from which the page sends no command but STOP, reports the silence, and considers the station lost. */
+export const STALE_AFTER_S = 0.48, SILENT_AFTER_S = 1, LOST_AFTER_S = 4;
 const listeners = [];
-let status = null, receivedAt = -Infinity, pending = null, wasStale = null;
+let status = null, receivedAt = 0, pending = null, wasStale = null;
 
 /** Call `listener(status, stale)` with each new status, and when the status becomes stale. */
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
-const age = () => performance.now() - receivedAt + 1000 * (status?.age ?? 0);
+/** Age of the robot's data [s]: the time since the last status, and the age that its values had then. */
+export const dataAge = () => (performance.now() - receivedAt) / 1000 + (status?.age ?? 0);
 
 function publish() {
-  wasStale = status === null || status.stale || age() > STALE_AFTER_MS;
+  wasStale = status === null || status.stale || dataAge() > STALE_AFTER_S;
   document.body.classList.toggle("stale", wasStale);
   for (const listener of listeners) listener(status, wasStale);
   for (const [box, isCurrent] of lasting) if (status !== null && !(box.isConnected && isCurrent(status))) { box.remove(); lasting.delete(box); }
@@ -215,7 +218,7 @@ async function fetchStatus() {
     status = await request("GET", "/api/status", undefined, TIMEOUT_MS);
     receivedAt = performance.now();
   } catch {
-    if (age() > STALE_AFTER_MS) status = null;
+    if (dataAge() > LOST_AFTER_S) status = null;
   }
   publish();
 }
@@ -226,7 +229,7 @@ async function fetchStatus() {
  */
 export async function ensureFresh() {
   if (wasStale) await pollStatus();
-  if (wasStale) note("nothing was started: the page's data of the robot is stale. Wait until the state is no longer stale, then press again");
+  if (wasStale) note("nothing was started: the page's data of the robot is too old. Wait until new data arrives, then press again");
   return !wasStale;
 }
 
@@ -240,6 +243,8 @@ export const mayCommand = (now = status) =>
 export function start() {
   setInterval(pollStatus, POLL_INTERVAL_MS);
   // Stale data must be marked even while a request is pending.
-  setInterval(() => { if (age() > STALE_AFTER_MS && !wasStale) { if (age() > 2 * STALE_AFTER_MS) status = null; publish(); } }, 50);
+  setInterval(() => {
+    if (dataAge() > LOST_AFTER_S && status !== null) { status = null; publish(); } else if (dataAge() > STALE_AFTER_S && !wasStale) publish();
+  }, 50);
   pollStatus();
 }

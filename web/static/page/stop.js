@@ -1,5 +1,5 @@
 // STOP: sent by the button, or by keys wherever the focus is, and sent again until the station acknowledges it.
-import { $, request, latest, pollStatus, make, abortPolls, Refused } from "./station.js";
+import { $, request, dataAge, latest, note, pollStatus, make, abortPolls, Refused, SILENT_AFTER_S } from "./station.js";
 
 const RETRY_MS = 700, TIMEOUT_MS = 3000; // interval between two STOPs, and time limit for an answer [ms]
 const MOVING = ["RUNNING", "HOMING"];
@@ -17,10 +17,11 @@ async function send(attempt) {
   attempt.tries += 1;
   abortPolls();
   try {
-    const { note } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
+    const { note: answer } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
     const late = attempt.tries === 1 ? "" : `acknowledged after ${seconds(attempt)} s and ${attempt.tries} tries`;
-    const text = [late, note].filter((part) => part !== "").join("; ");
-    finish(attempt, text === "" ? "" : `STOP was accepted: ${text}`);
+    const text = [late, answer].filter((part) => part !== "").join("; ");
+    if (text !== "") note(`STOP was accepted: ${text}`, true); // a success is never shown as an alarm
+    finish(attempt, "");
   } catch (error) {
     if (error instanceof Refused && error.status < 500) finish(attempt, `STOP was refused: ${error.message}. Use the emergency stop of the rig.`);
     else reportUnacknowledged(attempt);
@@ -59,7 +60,7 @@ $("stop").addEventListener("click", (event) => { if (event.detail === 0) stop();
 
 /** Stop by Shift+Space (in a text box only while something moves), or by Escape where it has no other effect. */
 function pressed(event) {
-  const status = latest(), moves = status === null || MOVING.includes(status.state);
+  const status = latest(), moves = status === null || dataAge() > SILENT_AFTER_S || MOVING.includes(status.state);
   const typing = event.target.closest?.("textarea, input:not([type=checkbox], [type=range])") != null;
   const space = event.code === "Space" && event.shiftKey && (moves || !typing);
   const escape = event.key === "Escape" && moves && !$("question").open && event.target.closest?.("select") == null;

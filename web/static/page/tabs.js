@@ -1,42 +1,55 @@
-// Tabs with arrow keys, as in the WAI-ARIA practices; and the parts that several tabs have.
+// Tabs with arrow keys, as in the WAI-ARIA practices; the tab Bench has tabs itself. And parts that several tabs have.
 import { $, button, make, request } from "./station.js";
 
-const tabs = [...document.querySelectorAll("[role=tab]")];
+const tabs = [...document.querySelectorAll("[role=tab]")], names = tabs.map((tab) => tab.getAttribute("aria-controls"));
 const listeners = {};
 
 /** Call `listener(open)` when a tab is opened or closed. */
 export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); };
-export const isOpen = (id) => !$(id).hidden;
+/** Return whether a tab is visible, which includes that the tab around it is open. */
+export const isOpen = (id) => $(id).closest("[hidden]") === null;
 
 /** Return the tab that was open before a reload, or the first tab. */
 export function lastTab() {
-  const stored = sessionStorage.getItem("tab"), names = tabs.map((tab) => tab.getAttribute("aria-controls"));
+  const stored = sessionStorage.getItem("tab");
   return names.includes(stored) ? stored : names[0];
 }
 
+/** Open a tab, and first the tab around it. */
 export function openTab(id) {
   sessionStorage.setItem("tab", id);
-  for (const tab of tabs) {
-    const panel = tab.getAttribute("aria-controls"), chosen = panel === id, was = isOpen(panel);
-    tab.setAttribute("aria-selected", String(chosen));
-    tab.tabIndex = chosen ? 0 : -1;
-    $(panel).hidden = !chosen;
-    if (was !== chosen) for (const listener of listeners[panel] ?? []) listener(chosen);
+  const before = names.filter(isOpen);
+  for (let panel = $(id); panel !== null; panel = panel.parentElement.closest("[role=tabpanel]")) choose(panel);
+  for (const name of names) {
+    const open = isOpen(name);
+    if (open !== before.includes(name)) for (const listener of listeners[name] ?? []) listener(open);
   }
 }
 
-for (const [number, tab] of tabs.entries()) {
+function choose(panel) {
+  for (const tab of siblings($(panel.getAttribute("aria-labelledby")))) {
+    const other = $(tab.getAttribute("aria-controls")), chosen = other === panel;
+    tab.setAttribute("aria-selected", String(chosen));
+    tab.tabIndex = chosen ? 0 : -1;
+    other.hidden = !chosen;
+  }
+}
+
+const siblings = (tab) => [...tab.closest("[role=tablist]").querySelectorAll("[role=tab]")];
+
+for (const tab of tabs) {
   tab.addEventListener("click", () => openTab(tab.getAttribute("aria-controls")));
   tab.addEventListener("keydown", (event) => {
-    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
-    const to = event.key === "Home" ? 0 : event.key === "End" ? tabs.length - 1 : number + step;
+    const all = siblings(tab), step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const to = event.key === "Home" ? 0 : event.key === "End" ? all.length - 1 : all.indexOf(tab) + step;
     if (Number.isNaN(to)) return;
     event.preventDefault();
-    const next = tabs[(to + tabs.length) % tabs.length];
+    const next = all[(to + all.length) % all.length];
     next.focus();
     next.click();
   });
 }
+choose($("devices"));
 
 /** Request `path` every `interval` [ms] while the tab `id` is open, and call `show(answer)`. */
 export function poll(id, path, interval, show) {

@@ -40,10 +40,10 @@ $("go").addEventListener("click", () => sendCommand("POST", "/api/scene/target/g
 
 let disconnectedPolls = 0; // consecutive polls without a connected scene
 
-/** Show a message if the scene is stale or disconnected; only with a current status it calls numbers and STOP live. */
+/** Show a message if only the scene is disconnected. While the page has no data, its banner is below the header. */
 function showConnection(stale) {
-  $("scene-cut").hidden = !stale && disconnectedPolls < 3;
-  $("scene-cut").textContent = stale ? "Nothing here is live: the page receives no data from the station." : "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
+  $("scene-cut").hidden = stale || disconnectedPolls < 3;
+  $("scene-cut").textContent = "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
 }
 
 async function refresh() {
