@@ -54,6 +54,13 @@ def chromium(*flags: str) -> Iterator[Browser]:
         yield browser
 
 
+def open_tab(page: Page, name: str) -> None:
+    """Open a tab of the page, and first the tab around it."""
+    if name in ("devices", "calibrate", "faults"):
+        page.locator("#tab-bench").click()
+    page.locator(f"#tab-{name}").click()
+
+
 @contextmanager
 def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
     """Yield the page of a separate client without the scene, because drawing the scene occupies a processor."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from PIL import Image
 from playwright.sync_api import Browser, FilePayload, FloatRect, Page
 
-from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium
+from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium, open_tab
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served, serving
 
@@ -67,7 +67,7 @@ class Desk(NamedTuple):
         assert self.station.status()["state"] == "RUNNING", self.station.status()["cause"]
 
     def tab(self, name: str) -> None:
-        self.page.locator(f"#tab-{name}").click()
+        open_tab(self.page, name)
 
 
 def run(desk: Desk) -> bytes:

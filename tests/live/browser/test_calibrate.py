@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import Page, Route
 
 from station.config.strict import PRESETS
+from tests.harness.chromium import open_tab
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
@@ -21,7 +22,7 @@ def running() -> Iterator[Served]:
 
 @pytest.fixture
 def calibrate(page: Page) -> Page:
-    page.locator("#tab-calibrate").click()
+    open_tab(page, "calibrate")
     back = page.get_by_role("button", name="all procedures")
     if back.count():
         back.click()

@@ -2,11 +2,12 @@
 
 from playwright.sync_api import Page
 
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 
 
 def motion(page: Page, text: str) -> None:
-    page.locator("#tab-start").click()
+    open_tab(page, "start")
     if page.get_by_role("button", name="all motions").count():
         page.get_by_role("button", name="all motions").click()
     page.locator(".card", has_text=text).click()
@@ -30,7 +31,7 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
     station.wait_for(lambda status: status["state"] == "READY" and not status["run"]["recording"])
 
     def open_newest() -> None:
-        page.locator("#tab-runs").click()
+        open_tab(page, "runs")
         page.get_by_role("button", name="hold, free motion").first.click()
         page.get_by_label("notes", exact=True).wait_for()
 

@@ -4,6 +4,7 @@ import math
 
 from playwright.sync_api import Page
 
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 
 
@@ -16,7 +17,7 @@ def arrives(station: Served, title: str, degrees: float) -> None:
 
 
 def test_robot_goes_to_a_pose_after_confirmation_and_back_to_the_working_pose(page: Page, station: Served) -> None:
-    page.locator("#tab-jog").click()
+    open_tab(page, "jog")
     page.get_by_label("inner rotation to go to").fill("84")
     page.get_by_role("button", name="Go there").click()
     question = page.locator("#question")

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from station.cli.main import main
-from tests.harness.chromium import bare_page
+from tests.harness.chromium import bare_page, open_tab
 from tests.harness.serving import Served, serving
 
 #: Ends a title, a script, an attribute and a line of a script; includes line separator and right-to-left characters.
@@ -74,7 +74,7 @@ def untouched(page: Page) -> None:
 def test_hostile_text_in_a_run_its_notes_report_and_replay_is_not_executed(hostile: Served, page: Page) -> None:
     (run,) = hostile.rest.get("/api/runs").json()
     assert run["id"] == NAME
-    page.locator("#tab-runs").click()
+    open_tab(page, "runs")
     page.locator(".card.run").click()
     page.locator("#runs textarea").fill(HOSTILE)
     page.get_by_role("button", name="Save").click()
@@ -93,7 +93,7 @@ def test_hostile_text_in_a_run_its_notes_report_and_replay_is_not_executed(hosti
 
 
 def test_hostile_text_in_a_calibration_is_not_executed(page: Page) -> None:
-    page.locator("#tab-calibrate").click()
+    open_tab(page, "calibrate")
     page.locator("#calibrate .card", has_text="top.ran = 1").click()
     page.locator("#found", has_text="top.ran = 1").wait_for()
     untouched(page)
@@ -104,7 +104,7 @@ def test_hostile_text_in_operator_name_and_log_is_not_executed(hostile: Served, 
     assert hostile.rest.post("/api/operator", json={"name": name, "take_over": True}).json()["name"] == name
     assert hostile.rest.post("/api/start", json={"experiment": HOSTILE}).status_code == 422
     page.locator("#operator", has_text=name).wait_for()
-    page.locator("#tab-faults").click()
+    open_tab(page, "faults")
     page.locator("#faults", has_text="top.ran = 1").wait_for()
     untouched(page)
     hostile.rest.delete("/api/operator")

@@ -3,6 +3,7 @@
 import pytest
 from playwright.sync_api import Page
 
+from tests.harness.chromium import open_tab
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served
 from tests.harness.waiting import until
@@ -12,7 +13,7 @@ FAR = 0.002  #: required motion of the tip, larger than all noise [m]
 
 @pytest.fixture
 def page(page: Page) -> Page:
-    page.locator("#tab-jog").click()
+    open_tab(page, "jog")
     page.locator("#hands fieldset").wait_for()
     return page
 

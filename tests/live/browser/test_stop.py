@@ -6,15 +6,11 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE
+from tests.harness.chromium import PATIENCE, open_tab
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
-
-
-def tab(page: Page, name: str) -> None:
-    page.locator(f"#tab-{name}").click()
 
 
 def button(page: Page, name: str) -> None:
@@ -22,7 +18,7 @@ def button(page: Page, name: str) -> None:
 
 
 def home(_station: Served, page: Page) -> None:
-    tab(page, "devices")
+    open_tab(page, "devices")
     page.locator("#devices").get_by_role("button", name="Home…").click()
 
 
@@ -31,7 +27,7 @@ def operator(_station: Served, page: Page) -> None:
 
 
 def calibrate(_station: Served, page: Page) -> None:
-    tab(page, "calibrate")
+    open_tab(page, "calibrate")
     page.locator("#calibrate .card").first.click()
     button(page, "Start: ")
 
@@ -41,7 +37,7 @@ def experiment(station: Served, page: Page) -> None:
     station.post("/api/jog", {"space": "joints", "velocity": [0.3, 0.0, 0.0]})
     station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["outer_rotation"]) > 0.02)
     station.rest.delete("/api/operator")
-    tab(page, "start")
+    open_tab(page, "start")
     page.locator(".card", has_text="Fig. 4").click()
     button(page, "Start experiment")
 
@@ -56,7 +52,7 @@ def open_new_run(station: Served, page: Page) -> None:
     station.post("/api/start", HOLD | {"duration": 0.5})
     run = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]["id"]
     station.rest.delete("/api/operator")
-    tab(page, "runs")
+    open_tab(page, "runs")
 
     def opened() -> bool:
         if page.get_by_role("button", name="all runs").count():
@@ -114,8 +110,7 @@ def test_stop_is_repeated_until_acknowledged_and_the_page_reports_it(station: Se
     finally:
         page.context.set_offline(False)
     station.wait_for(lambda s: s["state"] == "STOPPED")
-    page.locator("#alarm", has_text="STOP was accepted: acknowledged after").wait_for()
-    page.get_by_role("button", name="Close", exact=True).click()
+    page.locator(".note.good", has_text="STOP was accepted: acknowledged after").wait_for()
     assert page.locator("#alarm").is_hidden()
 
 
@@ -130,7 +125,7 @@ def test_escape_key_in_the_page_stops_a_motion(station: Served, page: Page) -> N
 
 
 def test_shift_space_in_a_text_box_types_a_space_at_rest_and_stops_a_motion(station: Served, page: Page) -> None:
-    tab(page, "runs")
+    open_tab(page, "runs")
     if page.get_by_role("button", name="all runs").count():
         button(page, "all runs")
     search = page.get_by_label("search")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import bare_page
+from tests.harness.chromium import bare_page, open_tab
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served
 
@@ -16,7 +16,7 @@ CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 4.0}, "dur
 
 
 def tab(page: Page, name: str) -> None:
-    page.locator(f"#tab-{name}").click()
+    open_tab(page, name)
     if name == "start" and page.get_by_role("button", name="all motions").count():
         page.get_by_role("button", name="all motions").click()
         page.locator(".card").first.wait_for()
@@ -311,16 +311,19 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
 
 def test_keyboard_reaches_every_control_of_the_page(page: Page, station: Served) -> None:
     page.locator("#tab-start").focus()
-    for name in ("jog", "devices", "plots", "runs", "calibrate", "faults", "start"):
-        page.keyboard.press("ArrowRight")
-        assert page.locator(f"#{name}").is_visible()
-        assert page.evaluate("document.activeElement.id") == f"tab-{name}"
+    for names in (("jog", "plots", "runs", "bench", "start"), ("calibrate", "faults", "devices")):
+        for name in names:
+            page.keyboard.press("ArrowRight")
+            assert page.locator(f"#{name}").is_visible()
+            assert page.evaluate("document.activeElement.id") == f"tab-{name}"
+        open_tab(page, "devices")
+    open_tab(page, "start")
     page.locator("#stop").focus()
     seen = set()
     for _ in range(40):
         page.keyboard.press("Tab")
         seen.add(page.evaluate("document.activeElement.id || document.activeElement.className"))
-    assert {"operator-act", "tab-start", "card", "loop"} <= seen
+    assert {"operator-act", "tab-start", "card", "divider"} <= seen
     station.post("/api/start", CIRCLE | {"duration": 60.0})
     page.locator("#stop").focus()
     page.keyboard.press("Enter")

@@ -9,6 +9,7 @@ from playwright.sync_api import Page
 from pyigtl import OpenIGTLinkClient
 from pyigtl.messages import TransformMessage
 
+from tests.harness.chromium import open_tab
 from tests.harness.gateway_clients import igtl_client
 from tests.harness.serving import Served, serving
 
@@ -28,7 +29,7 @@ def client(running: Served) -> Iterator[OpenIGTLinkClient]:
 def test_operator_starts_following_an_external_target_and_stop_ends_it(
     page: Page, station: Served, client: OpenIGTLinkClient
 ) -> None:
-    page.locator("#tab-start").click()
+    open_tab(page, "start")
     page.locator(".card", has_text="external target").click()
     assert page.get_by_label("speed").input_value() == "20"  # mm/s
     page.get_by_label("end", exact=True).fill("60")

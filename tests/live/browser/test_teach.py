@@ -5,6 +5,7 @@ import json
 import pytest
 from playwright.sync_api import Page
 
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -17,7 +18,7 @@ def teach(page: Page, station: Served) -> Page:
     page.evaluate("() => sessionStorage.removeItem('places')")
     page.reload()
     page.locator("#state", has_text="READY").wait_for()
-    page.locator("#tab-start").click()
+    open_tab(page, "start")
     page.locator(".card", has_text="Move smoothly through").click()
     page.get_by_role("button", name="Add waypoint here").wait_for()
     return page

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route
 
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 
 
@@ -47,14 +48,14 @@ def test_long_fault_message_is_shown_completely(page: Page, says: Callable[..., 
 
 
 def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Page, says: Callable[..., None]) -> None:
-    page.locator("#tab-start").click()
+    open_tab(page, "start")
     page.locator(".card", has_text="Keep the tip where it is").click()
     says(state="CONNECTED", message="devices answer", next="home the stages", action="home")
     places = (
         ("start", "#start .sticky"), ("jog", "#jog > p"), ("jog", "#hands"), ("faults", "#faults"), ("plots", "#act"),
     )  # fmt: skip
     for tab, place in places:
-        page.locator(f"#tab-{tab}").click()
+        open_tab(page, tab)
         page.locator(place).get_by_role("button", name="Home…").click()
         page.get_by_role("dialog", name="Home every stage?").get_by_role("button", name="Cancel").click()
     says(state="OFF", message="no device is spoken to", next="connect the devices", action="connect")
@@ -77,7 +78,7 @@ def test_refusal_on_the_page_shows_the_button_that_resolves_it(
         route.continue_()
 
     page.route("**/api/tare", learn)
-    page.locator("#tab-devices").click()
+    open_tab(page, "devices")
     page.get_by_role("button", name="Zero the force sensors").click()
     note = page.locator(".note", has_text="'tare' is not possible while STOPPED")
     note.get_by_role("button", name="Reset").click()
@@ -88,7 +89,7 @@ def test_refusal_on_the_page_shows_the_button_that_resolves_it(
 
 def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: Page) -> None:
     first = "import('/static/page/telemetry.js').then((telemetry) => telemetry.samples[0]?.time ?? null)"
-    page.locator("#tab-plots").click()
+    open_tab(page, "plots")
     page.wait_for_function(f"() => {first}")
     before = page.evaluate(first)
     page.reload()

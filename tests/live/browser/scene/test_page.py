@@ -9,6 +9,7 @@ from playwright.sync_api import FrameLocator, Page, Response
 
 from station.config.palette import CONTACT
 from station.config.robots import load_robot
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 from web.scene.cameras import FIELD_OF_VIEW_RAD, camera, extent
@@ -51,10 +52,12 @@ def test_page_shows_the_station_state_and_every_device(page: Page) -> None:
     assert state(page) == "READY"
     assert page.locator("#says").inner_text() == "nothing moves"
     lights = page.locator("#lights li")
-    assert lights.all_inner_texts() == ["stages", "tracker", "force sensors"]
+    names = [light.inner_text().partition(":")[0].strip() for light in lights.all()]
+    assert names == ["stages", "tracker", "force sensors"]
     assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
     assert "nothing is wrong" in str(lights.first.get_attribute("title"))
-    assert "µs" in page.locator("#loop").inner_text()
+    assert "500 Hz" in page.locator("#loop").inner_text()
+    assert "µs" in str(page.locator("#loop").get_attribute("title"))
 
 
 def test_scene_has_a_legend_with_units(page: Page) -> None:
@@ -250,7 +253,7 @@ def test_contact_on_the_shaft_is_marked_and_reported(page: Page, station: Served
         page.locator("#faults", has_text="the load does not act at the tip: contact at").wait_for()
     finally:
         station.post("/api/load", {"load": {"kind": "none"}})
-        page.locator("#tab-start").click()
+        open_tab(page, "start")
     page.locator("#mind", has_text="load not at the tip").wait_for(state="hidden")
 
 

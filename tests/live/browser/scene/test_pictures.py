@@ -6,6 +6,7 @@ import imageio.v3 as iio
 import numpy as np
 from playwright.sync_api import Page
 
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -44,7 +45,7 @@ def test_robot_is_visible_next_to_every_tab_of_the_page_during_a_run(
     assert station.post("/api/start", DEMO).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.05)
     for name, text in SAYS.items():
-        page.locator(f"#tab-{name}").click()
+        open_tab(page, name)
         page.locator(f"#{name}", has_text=text).wait_for()
         until(lambda: robot(page) > 100)
         picture(page, f"tab_{name}")
