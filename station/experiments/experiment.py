@@ -2,9 +2,11 @@
 
 import itertools
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
+from threading import Lock
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import Field
@@ -117,12 +119,14 @@ class _CasesTable(Strict):
     cross: Mapping[Name, Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]] = {}
 
 
-def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Experiment:
+def load_experiment(name: str, changes: Mapping[str, Any] | None = None, *, check_motions: bool = True) -> Experiment:
     """Return an experiment by preset name or file, completely checked before anything runs.
 
     Args:
         name: name of a preset, or path of a file.
         changes: keys that are set in every case.
+        check_motions: False: return a description only, without the check of the motions on the model, which takes
+            seconds; a description must not be run.
 
     Raises:
         ConfigError: the experiment is invalid; the message names file, case, key, value and the expected value.
@@ -142,7 +146,7 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None) -> Expe
     checked: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
         changed = _at_working_pose(path, merged(table, variation), changes or {})
-        cases.append(_case(path, case, changed, table, checked))
+        cases.append(_case(path, case, changed, table, checked if check_motions else None))
     if unknown := [case for case in paper if case not in variations]:
         raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, table.text)
@@ -183,28 +187,47 @@ def crossed_name(*names: str) -> str:
     return "-".join(names)
 
 
-_shipped = cache(load_experiment)
+@cache
+def _shipped(name: str, check_motions: bool) -> Experiment:
+    return load_experiment(name, check_motions=check_motions)
 
 
-def offered_experiment(name: str) -> Experiment:
+#: Locks by experiment, so that several requests wait for one check instead of repeating it.
+_checking: defaultdict[tuple[str, bool], Lock] = defaultdict(Lock)
+
+
+def is_shipped(name: str) -> bool:
+    """Return whether an experiment belongs to this package; otherwise its file is the user's.
+
+    Raises:
+        ConfigError: there is no experiment of this name.
+    """
+    return preset("experiments", name).is_relative_to(PRESETS)
+
+
+def offered_experiment(name: str, *, check_motions: bool = True) -> Experiment:
     """Return an experiment for a running station; an experiment preset is checked on the model only once.
 
-    A user's file is read and checked each time, because it may have been edited.
+    A user's file is read and checked each time, because it may have been edited. `check_motions` is that of
+    `load_experiment`.
 
     Raises:
         ConfigError: the experiment is invalid; the message is that of `load_experiment`.
     """
-    return _shipped(name) if preset("experiments", name).is_relative_to(PRESETS) else load_experiment(name)
+    with _checking[name, check_motions]:
+        if is_shipped(name):
+            return _shipped(name, check_motions)
+        return load_experiment(name, check_motions=check_motions)
 
 
 def _case(
     path: Path, name: str, table: Mapping[str, Any], document: Mapping[str, Any],
-    checked: dict[str, tuple[str, ...]],
+    checked: dict[str, tuple[str, ...]] | None,
 ) -> Case:  # fmt: skip
     """Return the case with the settings in `table`, from the file `document`.
 
     `checked` collects the motions that have passed the check, each with the warnings about its load. So cases with the
-    same motion are checked once.
+    same motion are checked once. None: no motion is checked.
     """
     source, within = f"{path}: case '{name}'", f"cases.{name}"
     file = check(CaseFile, _resolve_paths(path, table), source, document, within)
@@ -235,6 +258,10 @@ def _case(
             file.controller.direction_weight,
         )
         force_of(file.load, 0.0)
+        registration = None if calibration is None else calibration.registration
+        described = Case(name, file, robot, lab, controller, orders, start, registration)
+        if checked is None:
+            return described
         motion = repr((file.robot, file.calibration, settings, file.start, file.trajectory, file.duration))
         if motion not in checked:
             orders.check(controller, start, file.duration)
@@ -245,8 +272,7 @@ def _case(
                 checked[motion] = load_warnings(orders, controller, start, file.duration, file.load)
     except CtrError as error:
         raise ConfigError(f"{source}: {error}{line_reference(document, str(error), within)}") from None
-    registration = None if calibration is None else calibration.registration
-    return Case(name, file, robot, lab, controller, orders, start, registration, checked[motion])
+    return described._replace(warnings=checked[motion])
 
 
 def load_warnings(orders: Orders, controller: Controller, start: Array, duration: float, load: Load) -> tuple[str, ...]:

@@ -157,8 +157,9 @@ def control_routes(
         return service.settings.controller
 
     @router.get("/experiments", summary="Experiments; an invalid file is listed with its error")
-    def experiments() -> list[ExperimentOut]:
-        return experiments_out(supervisor.bench)
+    def experiments(*, check: bool = True) -> list[ExperimentOut]:
+        """With `check=false` the answer does not wait for the check of the motions on the model."""
+        return experiments_out(supervisor.bench, check_motions=check)
 
     @router.get(
         "/experiments/{name}/picture.svg",
@@ -168,7 +169,9 @@ def control_routes(
     def experiment_picture(name: str, case: str | None = None) -> Response:
         if name not in preset_names("experiments"):
             return Response(status_code=404)
-        drawn = next((one for one in offered_experiment(name).cases if case in (None, one.name)), None)
+        drawn = next(
+            (one for one in offered_experiment(name, check_motions=False).cases if case in (None, one.name)), None
+        )
         return Response(status_code=404) if drawn is None else Response(picture(drawn), media_type="image/svg+xml")
 
     @router.post("/model/solve", responses=REFUSED_RESPONSES, summary="Solve the loaded model")

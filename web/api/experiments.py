@@ -22,7 +22,7 @@ from station.config.strict import Name, Strict, Vector, preset_names
 from station.control.loop import MotionTask
 from station.control.states import RefusedError
 from station.experiments.case_summary import case_facts
-from station.experiments.experiment import Case, offered_experiment
+from station.experiments.experiment import Case, is_shipped, offered_experiment
 from station.experiments.saved import FreeMotion, SavedAlreadyError, save, saved_motion
 from station.service.feasibility import FeasibilityResult, check_waypoints, deviations_from_case, incompatibility
 from station.service.station_file import Rig
@@ -106,18 +106,22 @@ def _polyline(points: Array, colour: str, width: float) -> str:
     return f'<polyline points="{text}" fill="none" stroke="{colour}" stroke-width="{width}" stroke-linejoin="round"/>'
 
 
-def experiments_out(bench: Rig) -> list[ExperimentOut]:
-    """Return all experiments that a station with this rig offers; an invalid file is listed with its error."""
-    return [_experiment_out(name, bench) for name in preset_names("experiments")]
+def experiments_out(bench: Rig, *, check_motions: bool) -> list[ExperimentOut]:
+    """Return all experiments that a station with this rig offers; an invalid file is listed with its error.
+
+    Without `check_motions` the answer does not wait for the check of the motions on the model.
+    """
+    return [_experiment_out(name, bench, check_motions) for name in preset_names("experiments")]
 
 
-def _experiment_out(name: str, bench: Rig) -> ExperimentOut:
+def _experiment_out(name: str, bench: Rig, check_motions: bool) -> ExperimentOut:
+    group = "mine" if not is_shipped(name) else "paper" if name.startswith("fig") else "station"
     try:
-        experiment = offered_experiment(name)
+        experiment = offered_experiment(name, check_motions=check_motions)
     except CtrError as error:
-        return ExperimentOut(name=name, title="", cases=(), error=str(error))
+        return ExperimentOut(name=name, title="", cases=(), error=str(error), group=group, checked=check_motions)
     cases = tuple(_case_out(case, experiment.title, bench) for case in experiment.cases)
-    return ExperimentOut(name=experiment.name, title=experiment.title, cases=cases)
+    return ExperimentOut(name=experiment.name, title=experiment.title, cases=cases, group=group, checked=check_motions)
 
 
 def _case_out(case: Case, title: str, bench: Rig) -> CaseOut:

@@ -261,6 +261,10 @@ class ExperimentOut(Strict):
     cases: tuple[CaseOut, ...]
     error: str = ""
     """error of an invalid experiment file, for which `cases` is empty"""
+    group: Literal["paper", "station", "mine"]
+    """experiment of the paper, other experiment of the station, or file of the user"""
+    checked: bool
+    """true: the motions were checked on the model; otherwise `error`, `warnings` and `refused` may still change"""
 
 
 class SolveIn(Strict):

@@ -47,11 +47,11 @@ async function startRun(body, shownWarnings = []) {
 
 async function overview() {
   const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
-  const experiments = make("div", { className: "cards" }, make("p", { className: "dim" }, "checking on the model …"));
+  const experiments = make("div", {}, make("p", { className: "dim" }, "loading …"));
   submitButton = null;
   $("start").replaceChildren(
-    make("h3", {}, "Experiments"), experiments,
-    make("h3", {}, "Your own motion, from the current pose"),
+    experiments,
+    make("h3", {}, "Free motions, from the current pose"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
       card(kind.replaceAll("_", " "), [sentence(schema)], () => motion(kind, schema, all))),
     // The API description contains StreamAgreement only if the gateway accepts targets.
@@ -59,6 +59,8 @@ async function overview() {
   );
   if (loaded !== null) showExperiments(experiments, loaded);
   try {
+    // The descriptions come at once; the check of every motion on the model takes seconds, and longer on a busy computer.
+    if (loaded === null) showExperiments(experiments, await request("GET", "/api/experiments?check=false"));
     const now = await request("GET", "/api/experiments"); // a user may have edited experiment files meanwhile
     if (JSON.stringify(now) !== JSON.stringify(loaded)) showExperiments(experiments, loaded = now);
   } catch (error) {
@@ -69,10 +71,16 @@ async function overview() {
 /** Return why no case can start here: the file is invalid, or all cases are refused; empty if a case can start. */
 const refusalOf = (one) => one.error || (one.cases.every((each) => each.refused !== "") ? one.cases[0].refused : "");
 
+/** Title of each group of experiments. */
+const GROUPS = { paper: "Figures of the paper", station: "More experiments", mine: "Mine" };
+
 function showExperiments(list, all) {
-  const unavailable = all.filter((one) => refusalOf(one) !== "");
-  list.replaceChildren(...all.filter((one) => refusalOf(one) === "").map((one) =>
-    card(one.name.replaceAll("_", " "), [one.title], () => experiment(one), make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: "", width: 116, height: 58 }))));
+  const unavailable = all.filter((one) => refusalOf(one) !== ""), offered = all.filter((one) => refusalOf(one) === "");
+  list.replaceChildren(...Object.entries(GROUPS).flatMap(([group, title]) => {
+    const cards = offered.filter((one) => one.group === group).map((one) =>
+      card(one.name.replaceAll("_", " "), [one.title, one.checked ? "" : "checking on the model …"], () => experiment(one), make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: "", width: 116, height: 58 })));
+    return cards.length === 0 ? [] : [make("h3", {}, title), make("div", { className: "cards" }, ...cards)];
+  }));
   if (unavailable.length) list.append(make("details", { open: unavailable.some((one) => one.error !== "") },
     make("summary", {}, `${unavailable.length} that cannot be started here`), ...groupedByReason(unavailable)));
 }

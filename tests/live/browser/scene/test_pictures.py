@@ -15,7 +15,7 @@ Picture = Callable[[Page, str], None]
 DEMO = {"experiment": "demo"}  # this run first moves the robot to its start pose
 #: A text that each tab must contain.
 SAYS = {
-    "start": "Your own motion, from the current pose",
+    "start": "Free motions, from the current pose",
     "jog": "The robot moves while a button is held",
     "devices": "Does every axis turn in the right direction?",
     "plots": "drag to zoom",
