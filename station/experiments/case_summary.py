@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from station.config.controllers import ControllerFile
-from station.config.loads import Load
+from station.config.loads import Load, NoLoad
 from station.config.motions import JointSweepMotion, WaypointsMotion
 from station.config.robots import RobotFile
 from station.config.strict import Strict
@@ -96,6 +96,24 @@ def describe_keys(model: Strict, *, turns: bool = True) -> str:
     return f"{kind}: {parts}" if parts else kind
 
 
+def case_words(case: Case, experiment_title: str) -> str:
+    """Return a short human-readable name of a case: its title, or its name if it has the experiment's title."""
+    return case.file.title if case.file.title != experiment_title else ", ".join(_words(case.name).split("-"))
+
+
+def motion_title(motion: Strict, load: Strict) -> str:
+    """Return a title of a free motion: motion and load with the values that differ from their defaults."""
+    title = describe_keys(motion) if isinstance(motion, WaypointsMotion) else _changed_keys(motion)
+    return title if isinstance(load, NoLoad) else f"{title}; load {_changed_keys(load)}"
+
+
+def _changed_keys(model: Strict) -> str:
+    """Return kind and keys of a motion or load as a text, without the keys that have their default values."""
+    fields = type(model).model_fields
+    keys = tuple(key for key, field in fields.items() if key != "kind" and getattr(model, key) != field.default)
+    return ", ".join((_words(str(getattr(model, "kind", ""))), *_parts(model, keys)))
+
+
 def describe_pose(joints: Mapping[str, float], robot: RobotFile) -> str:
     """Return a text with the position and the unit of each joint."""
     units = {joint.name: "rad" if joint.motion == "rotation" else "m" for joint in robot.joints}
@@ -119,9 +137,6 @@ def _part(key: str, value: Any, unit: str) -> str:
         return f"{len(value)} directions in {format_quantity(value[-1][0], 's')}"
     if value is True:
         return _words(key)
-    if key == "directions":
-        count = len(value)
-        return f"pointing in {count} direction{'s' * (count > 1)}, the last at {format_quantity(value[-1][0], 's')}"
     if isinstance(value, tuple):
         return f"along {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"
     return f"{_words(key)} {format_quantity(value, unit) if isinstance(value, float | int) else _words(str(value))}"

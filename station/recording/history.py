@@ -3,9 +3,10 @@
 import contextlib
 import json
 import math
+import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, write_j
 from station.recording.run_outcome import CaseOutcome, RecordingError, case_outcomes
 from station.recording.writer import PARTIAL_SUFFIX
 
-#: Name of the file with the user's notes about a run.
+#: Name of the file with what the user has added to a run: title, star, tags and notes.
 NOTES_FILE = "notes.json"
 #: Name of the file with the results of a sweep.
 SWEEP_FILE = "sweep.json"
@@ -22,8 +23,12 @@ SWEEP_FILE = "sweep.json"
 LATEST = "latest"
 #: Largest plausible start time in a summary [s since 1970].
 MAX_START_TIME = 1e11
-#: Longest notes about a run [characters].
-MAX_NOTES_CHARS = 20_000
+#: Longest notes about a run, longest title and longest tag [characters]; largest number of tags of a run.
+MAX_NOTES_CHARS, MAX_TITLE_CHARS, MAX_TAG_CHARS, MAX_TAGS = 20_000, 120, 40, 20
+#: Name of the folder with the deleted runs, in the folder of the runs.
+TRASH = "deleted"
+#: Time for which a deleted run can be restored [s].
+TRASH_SPAN_S = 24 * 3600.0
 
 
 class RunError(RecordingError):
@@ -52,6 +57,8 @@ class RunEntry(Strict):
     size: int
     """size of its files [bytes]"""
     notes: str
+    starred: bool = False
+    tags: tuple[str, ...] = ()
     outcomes: Mapping[str, CaseOutcome] = {}
     """errors and force of each case that has them"""
 
@@ -68,12 +75,16 @@ class RunHistory:
     def __init__(self, runs: Path) -> None:
         self._runs = runs
 
+    def deleted(self) -> "RunHistory":
+        """Return the access to the deleted runs, which can be restored for a day."""
+        return RunHistory(self._runs / TRASH)
+
     def runs(self, experiment: str = "", label: str = "", text: str = "") -> list[RunDetails]:
         """Return the stored runs, newest first.
 
         Args:
             experiment, label: return only runs with this experiment or label; empty: all runs.
-            text: return only runs with this text in name, title, cause or notes, ignoring upper and lower case.
+            text: return only runs with this text in name, title, cause, tags or notes, ignoring upper and lower case.
         """
         found = [run for folder in self._folders() if (run := _run_entry(folder)) is not None]
         query = text.casefold()
@@ -82,7 +93,7 @@ class RunHistory:
             for run in found
             if experiment in ("", run.experiment)
             and label in ("", run.label)
-            and query in " ".join((run.id, run.title, run.cause, run.notes)).casefold()
+            and query in " ".join((run.id, run.title, run.cause, *run.tags, run.notes)).casefold()
         ]
         # The computer's clock may have been set back. A run with a start in the future is listed as the oldest.
         now = time.time()
@@ -128,23 +139,34 @@ class RunHistory:
         reason = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
         raise NoRunError(f"run '{folder.name}': {reason}{': ' if cases else ''}{', '.join(cases)}")
 
-    def set_notes(self, name: str, notes: str) -> RunDetails:
-        """Replace the notes about a run and return its entry.
+    def annotate(
+        self, name: str, *, notes: str | None = None, title: str | None = None, starred: bool | None = None,
+        tags: Sequence[str] | None = None,
+    ) -> RunDetails:  # fmt: skip
+        """Replace notes, title, star or tags of a run and return its entry; what is None stays as it is.
+
+        An empty title restores the recorded one. The recording itself is never changed.
 
         Raises:
-            RunError: there is no such run, the notes are too long, or they cannot be written.
+            RunError: there is no such run, a text is too long, there are too many tags, or the disk is full.
         """
         folder = self.find(name)
-        if len(notes) > MAX_NOTES_CHARS:
-            raise RunError(f"notes have {len(notes)} characters; at most {MAX_NOTES_CHARS} are allowed")
+        _check_length("notes", notes, MAX_NOTES_CHARS)
+        _check_length("title", title, MAX_TITLE_CHARS)
+        for tag in tags or ():
+            _check_length(f"tag '{tag[:MAX_TAG_CHARS]}'", tag, MAX_TAG_CHARS)
+        if tags is not None and len(tags) > MAX_TAGS:
+            raise RunError(f"{len(tags)} tags; a run has at most {MAX_TAGS}")
+        changes = {"notes": notes, "title": title, "starred": starred, "tags": None if tags is None else list(tags)}
+        changed = _json(folder / NOTES_FILE) | {key: value for key, value in changes.items() if value is not None}
         try:
-            write_json(folder / NOTES_FILE, {"notes": notes})
+            write_json(folder / NOTES_FILE, changed)
         except OSError as error:
             raise RunError(f"run '{folder.name}': notes cannot be written: {error.strerror}") from None
         return self._details(folder)
 
     def delete(self, name: str, confirm: str) -> None:
-        """Delete a run permanently.
+        """Move a run to the deleted ones, and remove those that were deleted more than a day ago.
 
         Args:
             name: name of the run; `latest` is refused, because another run may have become the latest.
@@ -155,11 +177,30 @@ class RunHistory:
         """
         folder = self.find(name) if name != LATEST else None
         if folder is None or confirm != folder.name:
-            raise RunError(f"to delete run '{name}' permanently, confirm with the same name, not '{confirm}'")
+            raise RunError(f"to delete run '{name}', confirm with the same name, not '{confirm}'")
+        trash = self._runs / TRASH
         try:
-            shutil.rmtree(folder)
+            trash.mkdir(exist_ok=True)
+            for old in trash.iterdir():
+                if not old.is_symlink() and time.time() - old.stat().st_mtime > TRASH_SPAN_S:
+                    shutil.rmtree(old)
+            folder.rename(trash / folder.name)
+            os.utime(trash / folder.name)  # the time of the deletion
         except OSError as error:
             raise RunError(f"run '{folder.name}': cannot be deleted: {error.strerror}") from None
+
+    def restore(self, name: str) -> RunDetails:
+        """Move a deleted run back and return its entry.
+
+        Raises:
+            RunError: there is no such deleted run, or it cannot be moved.
+        """
+        folder = self.deleted().find(name)
+        try:
+            folder.rename(self._runs / folder.name)
+        except OSError as error:
+            raise RunError(f"run '{folder.name}': cannot be restored: {error.strerror}") from None
+        return self.run(folder.name)
 
     def _details(self, folder: Path) -> RunDetails:
         found = _run_entry(folder)
@@ -200,7 +241,8 @@ def resolve_run(name: str, runs: Path) -> Path:
 
 def _run_entry(folder: Path) -> RunDetails | None:
     """Return the entry of the run in a folder; None if the folder was removed meanwhile or cannot be read."""
-    summary, notes = _json(folder / SUMMARY_FILE), _json(folder / NOTES_FILE).get("notes", "")
+    summary, added = _json(folder / SUMMARY_FILE), _json(folder / NOTES_FILE)
+    tags = added.get("tags", [])
     started = summary.get("started")
     try:
         if not isinstance(started, int | float) or abs(started) >= MAX_START_TIME:
@@ -212,16 +254,23 @@ def _run_entry(folder: Path) -> RunDetails | None:
     return RunDetails(
         id=folder.name,
         experiment=str(summary.get("experiment", "")),
-        title=str(summary.get("title", "")),
+        title=str(added.get("title", "") or summary.get("title", "")),
         label=str(summary.get("label", "complete" if summary.get("completed") else "stopped")),
         cause=str(summary.get("cause", "")),
         started=float(started),
         cases=cases,
         size=size,
-        notes=str(notes),
+        notes=str(added.get("notes", "")),
+        starred=added.get("starred") is True,
+        tags=tuple(map(str, tags)) if isinstance(tags, list) else (),
         outcomes=case_outcomes(summary),
         summary=summary,
     )
+
+
+def _check_length(what: str, text: str | None, most: int) -> None:
+    if text is not None and len(text) > most:
+        raise RunError(f"{what}: {len(text)} characters; at most {most} are allowed")
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -229,7 +229,7 @@ class Runs:
             RecordingError: the recording cannot start by `until` on the station's clock [s].
         """
         number = next(self._numbers)
-        run = RunRequest(number, f"{self.session}-{number}", start)
+        run = RunRequest(number, f"{datetime.now().astimezone():%Y%m%d-%H%M%S}-{number}", start)
         if self.recorder is not None and start.recorded:
             known = {
                 "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,

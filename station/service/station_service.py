@@ -18,6 +18,7 @@ from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
 from station.control.states import Transition
 from station.control.task import MotionTask, Space, StreamRequest
+from station.experiments.case_summary import case_words, motion_title
 from station.experiments.experiment import load_warnings, offered_experiment
 from station.recording.run_outcome import counted_from, settling_time
 from station.service.feasibility import (
@@ -151,7 +152,7 @@ class StationService:
         }
         return StartRequest(
             task=task,
-            title=f"{name}, case {chosen.name}",
+            title=f"{name.replace('_', ' ')}: {case_words(chosen, experiment.title)}",
             load=chosen.file.load,
             faults=tuple(chosen.file.faults),
             counted_from=chosen.file.counted_from,
@@ -274,7 +275,7 @@ class StationService:
         warnings = load_warnings(orders, task.controller, joints, task.duration, settings.load)
         start = StartRequest(
             task=task,
-            title=f"{settings.trajectory.kind}, free motion",
+            title=motion_title(settings.trajectory, settings.load),
             load=settings.load,
             counted_from=counted_from(settling_time(task.duration), settings.load.onset),
             warnings=warnings,

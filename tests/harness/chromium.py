@@ -34,10 +34,15 @@ window.cancelAnimationFrame = (drawing) => clearTimeout(drawing);
 """
 
 
+#: The browser has visited the page before, so that the page does not welcome its user.
+VISITED = "localStorage.setItem('welcomed', 'yes')"
+
+
 def scene_page(browser: Browser) -> Page:
     """Return a page whose scene is drawn coarsely and at a low rate, to save processor time."""
     page = browser.new_page(viewport=SIZE, device_scale_factor=COARSE)
     page.set_default_timeout(PATIENCE)
+    page.add_init_script(VISITED)
     page.add_init_script(SLOWLY)
     return page
 
@@ -66,6 +71,7 @@ def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Pa
     """Yield the page of a separate client without the scene, because drawing the scene occupies a processor."""
     context = browser.new_context(viewport=SIZE)
     context.set_default_timeout(PATIENCE)
+    context.add_init_script(VISITED)
     page = context.new_page()
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(f"{station.url}/{query}")

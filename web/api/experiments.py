@@ -21,7 +21,7 @@ from station.config.robots import named_pose
 from station.config.strict import Name, Strict, Vector, preset_names
 from station.control.loop import MotionTask
 from station.control.states import RefusedError
-from station.experiments.case_summary import case_facts
+from station.experiments.case_summary import case_facts, case_words
 from station.experiments.experiment import Case, is_shipped, offered_experiment
 from station.experiments.saved import FreeMotion, SavedAlreadyError, save, saved_motion
 from station.service.feasibility import FeasibilityResult, check_waypoints, deviations_from_case, incompatibility
@@ -126,11 +126,9 @@ def _experiment_out(name: str, bench: Rig, check_motions: bool) -> ExperimentOut
 
 def _case_out(case: Case, title: str, bench: Rig) -> CaseOut:
     file = case.file
-    # A case without a separate title has the experiment's title. The name of such a case is the better description.
-    words = file.title if file.title != title else ", ".join(case.name.replace("_", " ").split("-"))
     return CaseOut(
         name=case.name,
-        words=words,
+        words=case_words(case, title),
         duration=file.duration,
         strategy=file.controller.strategy,
         trajectory=file.trajectory.kind,

@@ -1,22 +1,36 @@
 """REST routes of the recorded runs: list, notes, recordings, reports, replay and deletion."""
 
 import asyncio
+import shutil
 import sys
+import tempfile
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import FileResponse
 from pydantic import ConfigDict, Field
+from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
-from station.config.strict import Strict
-from station.recording.history import MAX_NOTES_CHARS, NoRunError, RunDetails, RunEntry, RunHistory
+from station.config.strict import Row, Strict
+from station.recording.history import (
+    MAX_NOTES_CHARS,
+    MAX_TAG_CHARS,
+    MAX_TAGS,
+    MAX_TITLE_CHARS,
+    NoRunError,
+    RunDetails,
+    RunEntry,
+    RunHistory,
+)
 from station.recording.run_outcome import RecordingError
 from station.report.curves import Curve, read_curves
 from web.api.commands import Commands, cancel_on_disconnect
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
+ExportFormat = Literal["csv", "parquet", "mat"]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}
 MCAP_MEDIA_TYPE = "application/octet-stream"
 #: Content-Security-Policy of a report or replay page. The page may load nothing, because the file is complete.
@@ -26,16 +40,25 @@ STANDALONE_POLICY = (
 )
 
 
+Tag = Annotated[str, Field(min_length=1, max_length=MAX_TAG_CHARS)]
+
+
 class NotesIn(Strict):
-    """The operator's notes on a run."""
+    """What the operator adds to a run; omitted fields stay as they are."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"notes": "New coil since this morning."}]})
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"notes": "New coil since this morning.", "tags": ["coil 2"], "starred": True}]}
+    )
 
-    notes: Annotated[str, Field(max_length=MAX_NOTES_CHARS)]
+    notes: Annotated[str, Field(max_length=MAX_NOTES_CHARS)] | None = None
+    title: Annotated[str, Field(max_length=MAX_TITLE_CHARS)] | None = None
+    """empty: the recorded title"""
+    starred: bool | None = None
+    tags: Annotated[tuple[Tag, ...], Field(max_length=MAX_TAGS), Row] | None = None
 
 
 class DeletedOut(Strict):
-    """A run that was deleted."""
+    """A run that was deleted; it can be restored for a day."""
 
     deleted: str
 
@@ -54,18 +77,44 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     async def runs(
         experiment: str = "",
         label: str = "",
-        text: Annotated[str, Query(description="text in name, title, cause or notes")] = "",
+        text: Annotated[str, Query(description="text in name, title, cause, tags or notes")] = "",
         limit: Annotated[int, Query(ge=1, le=10_000)] = 1000,
+        *,
+        deleted: Annotated[bool, Query(description="list the deleted runs instead")] = False,
     ) -> list[RunEntry]:
-        return list((await asyncio.to_thread(history.runs, experiment, label, text))[:limit])
+        chosen = history.deleted() if deleted else history
+        return list((await asyncio.to_thread(chosen.runs, experiment, label, text))[:limit])
 
     @router.get("/{run}", responses=NOT_FOUND, summary="One run; `latest` is the newest")
     async def one(run: str) -> RunDetails:
         return await _found(history.run, run)
 
-    @router.put("/{run}/notes", responses=NOT_FOUND, summary="Set the notes of a run")
+    @router.put("/{run}/notes", responses=NOT_FOUND, summary="Set notes, title, star or tags of a run")
     async def notes(run: str, body: NotesIn) -> RunDetails:
-        return await _found(history.set_notes, run, body.notes)
+        return await _found(partial(history.annotate, **body.model_dump()), run)
+
+    @router.get(
+        "/{run}/export",
+        response_class=FileResponse,
+        responses=NOT_FOUND | {409: REFUSED_RESPONSES[409]},
+        summary="Telemetry of a case for other programs",
+    )
+    async def export(request: Request, run: str, format: ExportFormat, case: str = "") -> FileResponse:  # noqa: A002
+        recording = await _found(history.recording, run, case)
+        out = Path(await asyncio.to_thread(tempfile.mkdtemp, prefix="ctr-export-"))
+        remove = partial(shutil.rmtree, out, ignore_errors=True)
+
+        async def write() -> None:
+            async with rendering:
+                await _command("export", recording.parent, "--format", format, "--out", str(out))
+
+        try:
+            await cancel_on_disconnect(request, write())
+        except BaseException:
+            remove()
+            raise
+        name = f"{recording.parent.name}-{recording.stem}.{format}"
+        return FileResponse(out / f"{recording.stem}.{format}", filename=name, background=BackgroundTask(remove))
 
     @router.get(
         "/{run}/recording",
@@ -96,12 +145,18 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     @router.get(
         "/{run}/curves", responses=NOT_FOUND, summary="Error and force over time of each case, for a small plot"
     )
-    async def curves(run: str) -> dict[str, Curve]:
+    async def curves(
+        run: str,
+        *,
+        stored: Annotated[bool, Query(description="only the curves of an earlier request, else none; quick")] = False,
+    ) -> dict[str, Curve]:
         folder = await _found(history.find, run)
+        if stored:
+            return dict(await asyncio.to_thread(read_curves, folder) or {})
         async with rendering:
             found = await asyncio.to_thread(read_curves, folder)
             if found is None:
-                await _rendered("curves", folder)
+                await _command("curves", folder)
                 found = await asyncio.to_thread(read_curves, folder)
         return dict(found or {})
 
@@ -109,7 +164,7 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         "/{run}",
         responses=NOT_FOUND | REFUSED_RESPONSES,
         dependencies=[Depends(of.require_operator)],
-        summary="Delete a run permanently",
+        summary="Delete a run; it can be restored for a day",
     )
     async def delete(
         run: str, confirm: Annotated[str, Query(description="the run's name, as a confirmation")] = ""
@@ -117,13 +172,22 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         await _found(history.delete, run, confirm)
         return DeletedOut(deleted=run)
 
+    @router.post(
+        "/{run}/restore",
+        responses=NOT_FOUND | REFUSED_RESPONSES,
+        dependencies=[Depends(of.require_operator)],
+        summary="Restore a deleted run",
+    )
+    async def restore(run: str) -> RunDetails:
+        return await _found(history.restore, run)
+
     async def _page(request: Request, folder: Path, command: str, *, fresh: bool) -> FileResponse:
         path = folder / f"{command}.html"
 
         async def render() -> None:
             async with rendering:  # one report at a time, because rendering uses a whole processor for seconds
                 if fresh or not path.is_file():
-                    await _rendered(command, folder)
+                    await _command(command, folder)
 
         await cancel_on_disconnect(request, render())
         return FileResponse(path, headers={"content-security-policy": STANDALONE_POLICY, "cache-control": "no-cache"})
@@ -138,10 +202,10 @@ async def _found(function: Any, *arguments: Any) -> Any:
         raise HTTPException(404, str(error)) from None
 
 
-async def _rendered(command: str, folder: Path) -> None:
-    """Run `ctr-station report` or `replay` in a separate process, to keep the station responsive."""
+async def _command(command: str, folder: Path, *options: str) -> None:
+    """Run a command of `ctr-station` on a run in a separate process, to keep the station responsive."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "station", command, str(folder.absolute()),
+        sys.executable, "-m", "station", command, str(folder.absolute()), *options,
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:

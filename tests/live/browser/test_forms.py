@@ -32,7 +32,7 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
 
     def open_newest() -> None:
         open_tab(page, "runs")
-        page.get_by_role("button", name="hold, free motion").first.click()
+        page.get_by_role("button", name="hold").first.click()
         page.get_by_label("notes", exact=True).wait_for()
 
     open_newest()

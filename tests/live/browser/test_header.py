@@ -38,7 +38,7 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
             page.wait_for_function("() => document.body.classList.contains('stale')")
             start.click()
             page.locator("#notes", has_text="nothing was started").wait_for()
-            page.locator("#silence", has_text="trying again").wait_for()
+            page.locator("#silence", has_text="no data for").wait_for()
             page.locator("#age", has_text="no data for").wait_for()
         finally:
             station.process.send_signal(signal.SIGCONT)

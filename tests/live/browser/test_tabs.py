@@ -68,7 +68,7 @@ def test_page_starts_an_experiment_after_its_start_pose_is_confirmed(
     page.get_by_role("button", name="Start experiment").click()
     page.get_by_role("dialog").get_by_role("button", name="Start").click()
     status = station.wait_for(lambda s: s["state"] == "RUNNING")
-    assert status["run"]["title"] == "fig10, case feedforward"
+    assert status["run"]["title"].startswith("fig10: ")
     page.locator("#run-left", has_text="left of 3:20").wait_for()
     page.locator("#stop").click()
     station.wait_for(lambda s: s["state"] == "STOPPED")
@@ -249,7 +249,7 @@ def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station:
         station.post("/api/start", CIRCLE)
         station.wait_for(lambda s: s["state"] == "READY")
     tab(page, "runs")
-    cards = page.locator("#runs .card", has_text="circle, free motion")
+    cards = page.locator("#runs .card", has_text="circle, radius 3 mm, period 4 s")
     cards.nth(1).wait_for()
     assert all(float(number) > 0.0 for number in cards.first.locator(".number").all_inner_texts())
     picture(page, "runs")

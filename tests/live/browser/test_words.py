@@ -42,7 +42,7 @@ def test_long_fault_message_is_shown_completely(page: Page, says: Callable[..., 
         assert text.inner_text() == "; ".join(axes)
         assert text.evaluate("box => box.scrollHeight <= box.clientHeight + 1")
         assert page.locator("#reset").is_visible()
-        assert page.locator("#tab-faults").is_visible()
+        assert page.locator("#tab-bench").is_visible()
     finally:
         page.set_viewport_size({"width": 1280, "height": 720})
 

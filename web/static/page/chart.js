@@ -207,6 +207,18 @@ const LINE_STYLES = [["#d55e00", ""], [DARK ? "#56b4e9" : "#0072b2", "6 3"], ["#
 /** Size and margins of a small chart, in units of its viewBox. */
 const SMALL = { width: 420, height: 128, left: 40, right: 412, top: 6, bottom: 110 };
 
+/** Return a small line chart of `lines`: [{time: [s], value: []}], without axes; all lines have the same scale from 0 on. */
+export function sparkline(lines) {
+  const { width, height } = SPARK, end = Math.max(...lines.map((one) => one.time.at(-1) ?? 0), 1e-3), highest = Math.max(...lines.flatMap((one) => one.value), 1e-3);
+  const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true", class: "curve" });
+  for (const [i, { time, value }] of lines.entries()) {
+    const points = time.map((one, k) => `${((one / end) * width).toFixed(1)},${(height - 1 - (value[k] / highest) * (height - 2)).toFixed(1)}`).join(" ");
+    picture.append(svg("polyline", { points, stroke: LINE_STYLES[i % LINE_STYLES.length][0] }));
+  }
+  return picture;
+}
+const SPARK = { width: 64, height: 30 };
+
 /**
  * Return a chart of `lines`: [{name, time: [s], value: []}], with the values under the pointer. The value axis starts at
  * 0. The time before `from` [s] is shaded, because the errors before that time do not count.

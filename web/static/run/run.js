@@ -2,7 +2,7 @@
 import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { form, poseText, schemas, sentence, variants } from "../page/form.js";
-import { card, head } from "../page/tabs.js";
+import { card, head, openTab } from "../page/tabs.js";
 import { go } from "../jog/jog.js";
 import { change, origin, rows } from "./waypoint_list.js";
 import { waypoints } from "./waypoints.js";
@@ -83,6 +83,14 @@ function showExperiments(list, all) {
   }));
   if (unavailable.length) list.append(make("details", { open: unavailable.some((one) => one.error !== "") },
     make("summary", {}, `${unavailable.length} that cannot be started here`), ...groupedByReason(unavailable)));
+}
+
+/** Open an experiment from another part of the page. */
+export async function openExperiment(name) {
+  openTab("start");
+  const all = loaded ?? await request("GET", "/api/experiments?check=false").catch(() => []);
+  const one = all.find((each) => each.name === name && each.error === "");
+  if (one !== undefined) experiment(one);
 }
 
 /** Return the unavailable experiments, grouped by their reason. */

@@ -1,6 +1,6 @@
 // Result of a run: the errors first, then its curves; everything else is folded. And the comparison of two runs.
 import { make, request } from "../page/station.js";
-import { curve } from "../page/chart.js";
+import { curve, sparkline } from "../page/chart.js";
 
 export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
 const AGAINST = { true: "the true tip of the virtual lab", measured: "the tracker" };
@@ -62,6 +62,28 @@ export function card(run) {
   }
   return make("div", { className: "result" }, make("p", { className: `ended ${run.label}` }, ended(run)), numbers(run), drawing);
 }
+
+/**
+ * Return a small picture of a run's error over time. It is requested when it becomes visible, and stays empty until the
+ * run's page has computed its curves, because computing them for a whole list would occupy a processor.
+ */
+export function thumbnail(run) {
+  const box = make("span", { className: "thumbnail" });
+  if (Object.keys(run.outcomes).length > 0) visible.observe(box);
+  box.dataset.run = run.id;
+  return box;
+}
+
+const visible = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    if (!isIntersecting) continue;
+    visible.unobserve(target);
+    request("GET", address(target.dataset.run, "curves?stored=true")).then((cases) => {
+      const lines = Object.values(cases).flatMap((one) => (one.error === null ? [] : [one.error]));
+      if (lines.length > 0) target.append(sparkline(lines));
+    }).catch(() => {}); // the list is complete without the picture
+  }
+});
 
 /** Flatten a nested summary: [[path, value]]; a long list becomes its length. */
 export function flat(value, path = "") {
@@ -139,7 +161,8 @@ function overlaidCurves(runs) {
 /** Return the comparison of two runs, the older one first. */
 export function comparison(chosen) {
   const runs = [...chosen].sort((a, b) => a.started - b.started);
-  const names = runs.map((run, i) => make("th", {}, `${i + 1}: ${run.title || run.experiment || run.id}`));
+  const clock = (run) => new Date(1000 * run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "medium" });
+  const names = runs.map((run, i) => make("th", {}, `${i + 1}: ${run.title || run.experiment || run.id}, ${clock(run)}`));
   const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),

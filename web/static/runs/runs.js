@@ -1,31 +1,50 @@
-// Runs: recorded runs and their errors, with notes, replay, report, download, and comparison of two runs.
+// History: recorded runs by day with their errors; title, star, tags, notes, replay, report, export, comparison, deletion.
 import { $, button, confirm, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { head, isOpen, onTab, openTab } from "../page/tabs.js";
-import { address, card, comparison, errorSummary, flat, folded, readable, SHAPES } from "./result.js";
+import { address, card, comparison, errorSummary, flat, folded, readable, SHAPES, thumbnail } from "./result.js";
 
-const when = (seconds) => new Date(1000 * seconds).toLocaleString();
+const date = (seconds) => new Date(1000 * seconds);
+const day = (seconds) => date(seconds).toLocaleDateString(undefined, { weekday: "long", year: "numeric", month: "long", day: "numeric" });
+const time = (seconds) => date(seconds).toLocaleTimeString(undefined, { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
+const when = (seconds) => `${day(seconds)}, ${time(seconds)}`;
 const size = (bytes) => (bytes > 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`);
 
-const search = make("input", { type: "text", placeholder: "name, cause or notes", "aria-label": "search", style: "flex:1 1 0" });
-const label = make("select", { "aria-label": "how it ended" }, make("option", { value: "" }, "all"),
-  ...Object.keys(SHAPES).map((one) => make("option", { value: one }, one)));
+/** Orders of the list: comparison of two runs. */
+const largest = (run) => Math.max(-1, ...Object.values(run.outcomes).map((one) => one.largest_distance));
+const ORDERS = {
+  newest: (a, b) => b.started - a.started,
+  "largest error": (a, b) => largest(b) - largest(a),
+  "smallest error": (a, b) => (largest(a) < 0 ? Infinity : largest(a)) - (largest(b) < 0 ? Infinity : largest(b)),
+  title: (a, b) => titleOf(a).localeCompare(titleOf(b)),
+};
+const titleOf = (run) => run.title || run.experiment || run.id;
+
+const options = (all) => all.map(([value, text]) => make("option", { value }, text));
+const search = make("input", { type: "text", placeholder: "title, tag, cause or notes", "aria-label": "search", style: "flex:1 1 120px" });
+const label = make("select", { "aria-label": "which runs" }, ...options([["", "all"], ["starred", "★ starred"], ...Object.keys(SHAPES).map((one) => [one, one]), ["deleted", "deleted"]]));
+const order = make("select", { "aria-label": "order" }, ...options(Object.keys(ORDERS).map((one) => [one, one])));
 const compare = button("Compare two", async () => {
   const runs = await Promise.all([...chosen].map((id) => request("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
   if (runs !== null) content.replaceChildren(head("all runs", overview), comparison(runs));
-}, { disabled: true });
+});
+const removeChosen = button("Delete…", () => remove(found.filter((run) => chosen.has(run.id))), { className: "danger" });
+const selection = make("div", { className: "acts", style: "margin:0 0 8px" }, make("span", { className: "dim" }), compare, removeChosen);
 const list = make("div", { className: "cards" }), content = make("div");
 const chosen = new Set();
 $("runs").append(content);
 
-let shown = "";
+let shown = "", found = [];
 async function refresh() {
   if (!isOpen("runs") || !content.contains(list)) return;
   try {
-    const found = await request("GET", `/api/runs?limit=200&label=${label.value}&text=${encodeURIComponent(search.value)}`, undefined, 3000);
-    if (JSON.stringify(found) === shown) return;
-    shown = JSON.stringify(found);
-    list.replaceChildren(...(found.length ? [HEAD] : []), ...found.map(row));
-    if (found.length === 0) list.append(make("p", { className: "dim" }, search.value || label.value ? "No run matches." : "No run has been recorded yet."));
+    const deleted = label.value === "deleted", ending = label.value in SHAPES ? label.value : "";
+    const all = await request("GET", `/api/runs?limit=200&deleted=${deleted}&label=${ending}&text=${encodeURIComponent(search.value)}`, undefined, 3000);
+    found = all.filter((run) => label.value !== "starred" || run.starred).sort(ORDERS[order.value]);
+    if (shown === (shown = JSON.stringify([found, deleted, order.value]))) return;
+    for (const id of chosen) if (!found.some((run) => run.id === id)) chosen.delete(id);
+    list.replaceChildren(...(found.length ? [HEAD] : []), ...rows(deleted));
+    if (found.length === 0) list.append(make("p", { className: "dim" }, search.value || label.value ? "No run matches." : "No run has been recorded yet: start one in the tab Run."));
+    showSelection();
   } catch (error) {
     if (error instanceof Refused) note(error.message);
   }
@@ -33,25 +52,71 @@ async function refresh() {
 
 const HEAD = make("div", { className: "run-head small dim" }, make("span", {}, "|error| [mm]"), make("span", {}, "largest"), make("span", {}, "RMS"));
 
+/** Return the rows of all runs; in order of time each day has a heading. */
+function rows(deleted) {
+  let last = "";
+  return found.flatMap((run) => {
+    const heading = order.value === "newest" && day(run.started) !== last ? [make("h3", { className: "day" }, last = day(run.started))] : [];
+    return [...heading, deleted ? deletedRow(run) : row(run)];
+  });
+}
+
+function showSelection() {
+  selection.hidden = chosen.size === 0;
+  selection.firstChild.textContent = `${chosen.size} chosen`;
+  compare.disabled = chosen.size !== 2;
+  removeChosen.disabled = !mayCommand();
+}
+
+function describe(run) {
+  const clock = order.value === "newest" ? time(run.started) : date(run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "short" });
+  return make("div", {},
+    make("b", {}, run.starred ? `★ ${titleOf(run)}` : titleOf(run)),
+    make("span", {}, `${SHAPES[run.label] ?? "○"} ${run.label} · ${clock} · ${size(run.size)}`),
+    run.tags.length === 0 ? null : make("span", {}, ...run.tags.map((tag) => make("i", { className: "tag" }, tag))),
+    run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`));
+}
+
 function row(run) {
-  const box = make("input", { type: "checkbox", checked: chosen.has(run.id), "aria-label": `choose ${run.id} to compare` });
+  const box = make("input", { type: "checkbox", checked: chosen.has(run.id), "aria-label": `choose ${titleOf(run)}, ${when(run.started)}` });
   box.addEventListener("change", () => {
     if (box.checked) chosen.add(run.id); else chosen.delete(run.id);
-    compare.disabled = chosen.size !== 2;
+    showSelection();
   });
-  const [largest, rms] = errorSummary(run);
-  const open = make("button", { type: "button", className: "card run", onclick: () => details(run.id) }, make("div", {},
-    make("b", {}, run.title || run.experiment || run.id),
-    make("span", {}, `${SHAPES[run.label] ?? "○"} ${run.label} · ${when(run.started)} · ${size(run.size)}`),
-    run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`)),
-  make("span", { className: "number", title: "largest distance of the tip from its desired position [mm]" }, largest),
-  make("span", { className: "number", title: "root mean square of that distance [mm]" }, rms));
+  const [most, rms] = errorSummary(run);
+  const open = make("button", { type: "button", className: "card run", title: run.id, onclick: () => details(run.id) }, thumbnail(run), describe(run),
+    make("span", { className: "number", title: "largest distance of the tip from its desired position [mm]" }, most),
+    make("span", { className: "number", title: "root mean square of that distance [mm]" }, rms));
   return make("div", { style: "display:flex;gap:8px;align-items:center" }, box, open);
+}
+
+const deletedRow = (run) => make("div", { className: "card run" }, describe(run), button("Restore", () => restore([run.id])));
+
+async function restore(ids) {
+  for (const id of ids) await sendCommand("POST", address(id, "restore"), {});
+  refresh();
+}
+
+/** Ask, then delete runs; a note offers to undo it, and the list of deleted runs does so for a day. */
+async function remove(runs) {
+  const total = size(runs.reduce((sum, run) => sum + run.size, 0));
+  const names = runs.slice(0, 8).map((run) => make("li", {}, `${titleOf(run)}, ${when(run.started)}`));
+  if (runs.length > 8) names.push(make("li", {}, `and ${runs.length - 8} more`));
+  const title = runs.length === 1 ? "Delete this run?" : `Delete ${runs.length} runs?`;
+  if (!await confirm(title, "Delete", make("ul", {}, ...names), make("p", {}, `Recording, report and notes (${total}) can be restored for a day: choose 'deleted' in the list.`))) return;
+  const deleted = [];
+  for (const { id } of runs) {
+    if (await sendCommand("DELETE", `/api/runs/${encodeURIComponent(id)}?confirm=${encodeURIComponent(id)}`)) deleted.push(id);
+  }
+  if (deleted.length) note(deleted.length === 1 ? "the run is deleted" : `${deleted.length} runs are deleted`, true, button("Undo", () => restore(deleted)));
+  for (const id of deleted) chosen.delete(id);
+  overview();
 }
 
 function overview() {
   shown = "";
-  content.replaceChildren(make("div", { className: "acts", style: "margin:0 0 10px" }, search, label, compare), list);
+  content.replaceChildren(make("div", { className: "acts", style: "margin:0 0 8px" }, search, label, order), selection, list);
+  showSelection();
   refresh();
 }
 
@@ -87,26 +152,37 @@ async function details(id) {
     return;
   }
   const notes = make("textarea", { rows: 3, value: run.notes, "aria-label": "notes", style: "width:100%" });
+  const title = make("input", { type: "text", maxLength: 120, value: run.title, "aria-label": "title" });
+  const tags = make("input", { type: "text", value: run.tags.join(", "), placeholder: "tags, separated by commas", "aria-label": "tags" });
   const unsaved = draft(notes, `notes ${id}`);
   const save = button("Save notes", async () => {
-    const text = notes.value;
-    if (await sendCommand("PUT", address(id, "notes"), { notes: text })) { unsaved.saved(text); note("notes are saved", true); }
+    const text = notes.value, listed = [...new Set(tags.value.split(",").map((tag) => tag.trim()).filter((tag) => tag !== ""))];
+    if (await sendCommand("PUT", address(id, "notes"), { notes: text, title: title.value.trim(), tags: listed })) { unsaved.saved(text); note("notes are saved", true); }
   });
-  removal = button("Delete…", async () => {
-    if (!await confirm("Delete this run for good?", "Delete", make("p", {}, id), make("p", {}, `Recording, report and notes, ${size(run.size)}, are removed from the disk.`))) return;
-    if (await sendCommand("DELETE", `/api/runs/${encodeURIComponent(id)}?confirm=${encodeURIComponent(id)}`)) { chosen.delete(id); overview(); }
-  }, { disabled: !mayCommand() });
-  const cases = run.cases.map((one) => make("a", { href: `${address(id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`));
+  const star = button(run.starred ? "★ starred" : "☆ star", async () => {
+    if (await sendCommand("PUT", address(id, "notes"), { starred: !run.starred })) details(id);
+  }, { "aria-pressed": String(run.starred) });
+  removal = button("Delete…", () => remove([run]), { className: "danger", disabled: !mayCommand() });
   const summary = { ...run.summary, started: when(run.started) };
   content.replaceChildren(
-    head("all runs", overview, run.title || id),
+    head("all runs", overview, titleOf(run)),
     card(run),
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
-    make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")), ...cases),
-    make("h3", {}, "Notes"), notes, make("div", { className: "acts" }, save, removal, unsaved.element),
+    make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")), star),
+    ...downloads(run),
+    make("h3", {}, "Notes"), make("div", { className: "rows" }, make("label", {}, "title"), make("div", { className: "wide" }, title), make("label", {}, "tags"), make("div", { className: "wide" }, tags)), notes,
+    make("div", { className: "acts" }, save, removal, unsaved.element),
     folded("All numbers", () => flat(summary).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value)))), "numbers"),
   );
 }
+
+/** Formats in which a recording can be downloaded, with their programs. */
+const FORMATS = { csv: "CSV", parquet: "Parquet", mat: "MATLAB" };
+
+/** Return a line with the downloads of each case of a run; none if nothing was recorded. */
+const downloads = (run) => run.cases.map((one) => make("p", { className: "small" }, run.cases.length > 1 ? `${one.replaceAll("_", " ")}: ` : "Download: ",
+  make("a", { href: `${address(run.id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`),
+  ...Object.entries(FORMATS).flatMap(([format, name]) => [" · ", make("a", { href: `${address(run.id, "export")}?format=${format}&case=${encodeURIComponent(one)}`, download: "" }, name)])));
 
 /** Open the page of a run from another tab. */
 export function showRun(id) {
@@ -127,7 +203,7 @@ function page(id, what) {
 }
 
 search.addEventListener("input", refresh);
-label.addEventListener("change", refresh);
+for (const choice of [label, order]) choice.addEventListener("change", refresh);
 setInterval(refresh, 2000);
 onTab("runs", refresh);
 overview();

@@ -41,7 +41,7 @@ def test_stored_runs_are_filtered_by_experiment_label_and_text(history):
     assert ids(history.runs(experiment="fig7")) == ["second", "first"]
     assert ids(history.runs(experiment="fig7", label="complete")) == ["first"]
     assert ids(history.runs(text="TITLE 1")) == ["third"]
-    history.set_notes("second", "The coil was loose.")
+    history.annotate("second", notes="The coil was loose.")
     assert ids(history.runs(text="loose")) == ["second"]
     assert ids(history.runs(text="fig7 loose")) == []
 
@@ -78,11 +78,11 @@ def test_a_link_in_the_folder_of_runs_is_not_listed_as_a_run(history, tmp_path):
 
 
 def test_notes_about_a_run_are_stored_and_replaced(history):
-    assert history.set_notes("first", "one").notes == "one"
-    assert history.set_notes("first", "zwei äöü\n").notes == "zwei äöü\n"
+    assert history.annotate("first", notes="one").notes == "one"
+    assert history.annotate("first", notes="zwei äöü\n").notes == "zwei äöü\n"
     assert history.run("first").notes == "zwei äöü\n"
     with pytest.raises(RunError, match=f"at most {MAX_NOTES_CHARS}"):
-        history.set_notes("first", "x" * (MAX_NOTES_CHARS + 1))
+        history.annotate("first", notes="x" * (MAX_NOTES_CHARS + 1))
     assert history.run("first").notes == "zwei äöü\n"
 
 

@@ -1,0 +1,107 @@
+"""First visit, help, command palette, and the title of the page; STOP works above all of them."""
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.harness.chromium import PATIENCE, SIZE
+from tests.harness.serving import Served
+
+HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
+
+
+@pytest.fixture
+def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
+    context = browser.new_context(viewport=SIZE)
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.route("**/viser/**", lambda route: route.abort())
+    page.goto(station.url)
+    page.locator("#welcome").wait_for()
+    yield page
+    context.close()
+
+
+def help_dialog(page: Page) -> None:
+    page.locator("#tab-start").focus()
+    page.keyboard.press("?")
+    page.get_by_role("dialog", name="Help").wait_for()
+
+
+def palette(page: Page) -> None:
+    page.keyboard.press("Control+k")
+    page.get_by_role("combobox", name="action").wait_for()
+
+
+@pytest.mark.parametrize("opened", [help_dialog, palette])
+def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
+    page: Page, station: Served, opened: Callable[[Page], None]
+) -> None:
+    opened(page)
+    for key in ("Shift+Space", "Escape"):
+        station.ready()
+        station.post("/api/start", HOLD)
+        page.locator("#state", has_text="RUNNING").wait_for()
+        page.keyboard.press(key)
+        page.locator("#state", has_text="STOPPED").wait_for()
+        assert page.locator("dialog[open]").is_visible()
+    station.ready()
+    page.locator("#state", has_text="READY").wait_for()
+    page.keyboard.press("Escape")  # nothing moves
+    page.locator("dialog[open]").wait_for(state="hidden")
+    assert station.status()["state"] == "READY"
+
+
+def test_palette_carries_out_the_action_found_by_some_letters(page: Page, station: Served) -> None:
+    palette(page)
+    page.keyboard.type("opplot")
+    page.keyboard.press("Enter")
+    page.locator("#plots").wait_for()
+    palette(page)
+    page.keyboard.type("fig10")
+    page.get_by_role("option", name="Experiment fig10").wait_for()
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Start experiment").wait_for()
+    page.get_by_role("button", name="all motions").click()
+    assert station.status()["state"] == "READY"
+
+
+def test_palette_shows_why_an_action_is_not_possible_and_does_not_carry_it_out(page: Page, station: Served) -> None:
+    palette(page)
+    page.keyboard.type("reset")
+    page.get_by_role("option", name="not while READY").first.wait_for()
+    page.keyboard.press("Enter")
+    assert page.get_by_role("combobox", name="action").is_visible()
+    page.keyboard.press("Escape")
+
+
+def test_page_title_shows_the_state_and_the_run(page: Page, station: Served) -> None:
+    station.post("/api/start", HOLD)
+    page.wait_for_function("() => / % · .* left · hold/.test(document.title)")
+    station.post("/api/stop")
+    page.wait_for_function("() => document.title === 'STOPPED'")
+    station.ready()
+    page.wait_for_function("() => document.title === 'ctr-station'")
+
+
+def test_first_visit_offers_the_demo_and_a_tour_that_can_be_left(first_visit: Page, station: Served) -> None:
+    page = first_visit
+    page.get_by_role("button", name="Show me around").click()
+    assert "pointed-at" in str(page.locator("#stop").get_attribute("class"))
+    station.post("/api/start", HOLD)
+    page.locator("#state", has_text="RUNNING").wait_for()
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for()
+    page.get_by_role("button", name="Skip").click()
+    assert page.locator("#welcome").count() == 0
+    page.reload()
+    page.locator(".card").first.wait_for()
+    assert page.locator("#welcome").count() == 0
+
+
+def test_demo_of_the_first_visit_starts_with_one_press(first_visit: Page, station: Served) -> None:
+    station.rest.delete("/api/operator")
+    first_visit.get_by_role("button", name="Run the demo").click()
+    status = station.wait_for(lambda s: s["state"] == "RUNNING")
+    assert status["run"]["title"].startswith("demo")

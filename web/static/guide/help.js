@@ -1,0 +1,50 @@
+// Help: what the states, the keys and the marks mean, and the switches of sounds. Opened by "?" or by its button.
+import { $, button, make } from "../page/station.js";
+import { switches } from "./notify.js";
+
+const STATES = [
+  ["OFF, CONNECTED", "no device is connected; the devices answer, but the positions of the joints are unknown: home the stages"],
+  ["READY", "nothing moves, and a motion can start"],
+  ["RUNNING, HOMING", "the robot moves"],
+  ["HOLD", "a fault or a limit has ended the motion; the robot keeps its position, motors on; Reset leads back to READY"],
+  ["STOPPED", "somebody has pressed STOP; Reset leads back to READY"],
+  ["FAULT", "a device or a program has failed and every axis was stopped; remove the cause, then press Reset"],
+];
+const KEYS = [
+  ["Shift+Space", "STOP, wherever the focus is"],
+  ["Escape", "STOP while something moves; otherwise closes a question or this help"],
+  ["Ctrl+K", "all actions, by name"],
+  ["← →", "next tab; width of the controls while their border has the focus"],
+  ["Space, held", "jogs while the focus is on a button of the tab Jog"],
+  ["?", "this help"],
+];
+const TIPS = [
+  ["desired", "where the tip should be now"],
+  ["measured", "where the tracker measures the tip, with its noise and delay"],
+  ["estimated", "where the loaded model calculates the tip from joints and force"],
+  ["true", "where the simulated tip is; only a virtual lab knows it, and the controller never does"],
+];
+
+const list = (rows) => make("dl", {}, ...rows.flatMap(([term, text]) => [make("dt", {}, term), make("dd", {}, text)]));
+
+const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
+  make("h2", { id: "help-title" }, "Help"),
+  make("h3", {}, "States"), list(STATES),
+  make("h3", {}, "Keys"), list(KEYS),
+  make("h3", {}, "Four tips"), list(TIPS),
+  make("h3", {}, "Tell me about runs by"), switches(),
+  make("p", {}, make("a", { href: "/api/docs", target: "_blank" }, "REST interface"), " for scripts"),
+  make("menu", {}, button("Close", () => dialog.close(), { className: "main" })));
+document.querySelector("main").append(dialog);
+
+/** Open the help below the header, so that STOP stays free; a second call closes it. */
+export function toggleHelp() {
+  if (dialog.open) dialog.close(); else dialog.show();
+}
+
+$("tools").append(button("?", toggleHelp, { title: "Help (?)", "aria-label": "help" }));
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.closest?.("input, textarea, select") != null;
+  if (event.key === "?" && !typing) toggleHelp();
+  else if (event.key === "Escape" && dialog.open) dialog.close(); // while something moves, Escape has been taken for STOP
+});
