@@ -3,7 +3,7 @@
 import csv
 from pathlib import Path
 
-from playwright.sync_api import Page
+from playwright.sync_api import Locator, Page
 
 from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
@@ -20,7 +20,7 @@ def recorded(station: Served) -> str:
     return run
 
 
-def card(page: Page, run: str):  # noqa: ANN201 - a locator
+def card(page: Page, run: str) -> Locator:
     return page.locator(f"#runs .card[title='{run}']")
 
 

@@ -20,10 +20,12 @@ function timeLeft() {
 }
 
 const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off target" : "target not seen") : "error");
+/** Return the error by the tracker as an addition to the true one, which only a virtual lab knows; empty without a motion. */
+const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker ${size.toFixed(2)}` : ""; };
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? "true" : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
+  { name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
   { name: () => "force", unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "no current force measurement" },
