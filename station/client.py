@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 #: of version 0.1.0 send no `format` and use format 1. Format 2 renamed three paths and the status fields `message`,
 #: `action` and `contact`.
 FORMAT = 2
+#: Words in a refusal because another client is the operator; the operator's name is before them.
+NOT_OPERATOR = " is operator"
 #: Interval between two status requests while a method waits [s]. Each request also renews the operator's lease.
 POLL_INTERVAL_S = 0.2
 #: Timeout of a request [s]. Homing and the rendering of a report may take longer.
@@ -45,6 +47,10 @@ class StationError(CtrError):
 
 class StationRefused(StationError):
     """The station refuses a request: the station's state, another operator or a value does not allow it."""
+
+
+class NotOperator(StationRefused):
+    """Another client is the operator, so the station refuses the command; the text says who and what to do."""
 
 
 class RunFailed(StationError):
@@ -158,7 +164,7 @@ class Setpoints:
         except (OSError, ConnectionClosed) as error:
             raise StationError(f"the run has ended: {error}") from None
         if "error" in answer and len(answer) == 1:
-            raise StationError(answer["error"])
+            raise _refusal(answer["error"])
         if "ended" in answer:
             raise StationError(f"the run has ended: {answer['ended']} {answer['cause']}".strip())
         return answer
@@ -208,7 +214,7 @@ class Station:
         """Become the operator of the station; this is unnecessary while no other client is the operator.
 
         Raises:
-            StationRefused: another client is the operator.
+            NotOperator: another client is the operator.
         """
         self._request("POST", "/api/operator", {"take_over": take_over})
 
@@ -225,7 +231,8 @@ class Station:
         """Start an experiment by name, or a motion from the present pose; return the run's id.
 
         Raises:
-            StationRefused: the station's state, another operator or a value does not allow the start.
+            NotOperator: another client is the operator.
+            StationRefused: the station's state or a value does not allow the start.
         """
         request = {
             "experiment": experiment, "case": case, "trajectory": trajectory, "controller": controller,
@@ -235,7 +242,7 @@ class Station:
         return self._request("POST", "/api/start", given)["run_id"]
 
     def stop(self) -> str:
-        """Stop every axis, in every state. Return a warning for the operator; empty when every axis has stopped."""
+        """Stop every axis, in every state. Return a message for the operator; usually empty: every axis has stopped."""
         # `_send`, not `_request`: a check of the format must not delay or prevent a STOP.
         return self._send("POST", "/api/stop", {})["note"]
 
@@ -259,7 +266,7 @@ class Station:
                 raise StationError(f"not READY within {timeout:g} s, but {status['state']}: {status['message']}")
             time.sleep(POLL_INTERVAL_S)
         if status["state"] != "READY":
-            raise StationError(f"homing ended with {status['state']}: {status['cause'] or status['message']}")
+            raise StationError(f"homing ended with {status['state']}: {_cause(status) or status['message']}")
 
     def goto(self, joints: Mapping[str, float] | None = None, timeout: float = 300.0) -> None:
         """Move joints, given by name, to positions [rad or m] and wait for the end; None: move to the working pose.
@@ -297,7 +304,7 @@ class Station:
                 raise RunFailed(f"run {run} is not the station's last one")
             if status["state"] != "RUNNING" and not latest["recording"]:
                 if status["state"] != "READY":
-                    raise RunFailed(f"run {run} ended with {status['state']}: {status['cause']}")
+                    raise RunFailed(f"run {run} ended with {status['state']}: {_cause(status)}")
                 return status
             if deadline is not None and time.monotonic() > deadline:
                 raise StationError(f"run {run} has not ended within {timeout:g} s")
@@ -312,7 +319,7 @@ class Station:
         deadline = time.monotonic() + timeout
         while (status := self.status())["state"] != state:
             if status["state"] == "FAULT":
-                raise StationError(f"FAULT: {status['cause']}")
+                raise StationError(f"FAULT: {_cause(status)}")
             if time.monotonic() > deadline:
                 raise StationError(f"not {state} within {timeout:g} s, but {status['state']}: {status['message']}")
             time.sleep(POLL_INTERVAL_S)
@@ -335,7 +342,7 @@ class Station:
             with self._http.stream("GET", f"/api/runs/{quote(run, safe='')}/recording", params=query) as answer:
                 if answer.is_error:
                     answer.read()
-                    raise StationRefused(_reason(answer))
+                    raise _refusal(_reason(answer))
                 with path.open("wb") as out:
                     for part in answer.iter_bytes():
                         out.write(part)
@@ -352,9 +359,10 @@ class Station:
         of ticks since the previous sample. `missed` is the number of ticks that the control loop missed.
 
         Raises:
+            StationRefused: the rate is outside its bounds.
             StationError: the connection failed, or the station has ended.
         """
-        from websockets.exceptions import WebSocketException
+        from websockets.exceptions import InvalidStatus, WebSocketException
         from websockets.sync.client import connect
 
         self._check_format()
@@ -363,6 +371,9 @@ class Station:
             with connect(f"{url}?rate={rate:g}", additional_headers=self._headers, proxy=None) as socket:
                 for message in socket:
                     yield json.loads(message)
+        except InvalidStatus as refused:
+            response = refused.response
+            raise StationRefused(_error_in(response.body or b"") or f"{url}: answer {response.status_code}") from None
         except (OSError, WebSocketException) as error:
             raise StationError(f"{url}: {error}") from None
 
@@ -380,7 +391,8 @@ class Station:
                 direction may be sent if its `task` is "position_and_direction".
 
         Raises:
-            StationError: at the start of the block: the state, another operator or a value does not allow the stream.
+            NotOperator: at the start of the block: another client is the operator.
+            StationRefused: at the start of the block: the state or a value does not allow the stream.
         """
         self._check_format()
         url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
@@ -412,12 +424,33 @@ class Station:
         except httpx.HTTPError as error:
             raise StationError(f"{self._http.base_url}: the station does not answer ({error})") from None
         if answer.is_error:
-            raise StationRefused(_reason(answer))
+            raise _refusal(_reason(answer))
         return answer.json()
 
 
+def _cause(status: Mapping[str, Any]) -> str:
+    """Return the cause of a status with its details; older stations send no details."""
+    return f"{status['cause']} ({details})" if (details := status.get("details", "")) else str(status["cause"])
+
+
+def _refusal(reason: str) -> StationRefused:
+    """Return the typed error of a refusal."""
+    if NOT_OPERATOR not in reason:
+        return StationRefused(reason)
+    who, _, _ = reason.partition(NOT_OPERATOR)
+    return NotOperator(
+        f"{who}{NOT_OPERATOR}, so this script may not send commands: press Release in that operator's page and start"
+        " the script again, or take over with station.become_operator(take_over=True)"
+    )
+
+
 def _reason(answer: httpx.Response) -> str:
+    return _error_in(answer.content) or f"answer {answer.status_code} from {answer.url}"
+
+
+def _error_in(body: bytes | bytearray) -> str:
+    """Return the reason in the body of a refusal; empty if the body has none."""
     try:
-        return str(answer.json()["error"])
+        return str(json.loads(body)["error"])
     except (ValueError, KeyError, TypeError):
-        return f"answer {answer.status_code} from {answer.url}"
+        return ""

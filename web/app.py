@@ -17,10 +17,9 @@ from typing import Any, cast
 import uvicorn
 import viser
 from fastapi import Depends, FastAPI
-from fastapi.responses import FileResponse
-from fastapi.staticfiles import StaticFiles
 from fastapi_offline import FastAPIOffline
 from rich.console import Console
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp
 
 from core.errors import CtrError
@@ -45,17 +44,18 @@ from web.api.control import control_routes
 from web.api.experiments import waypoint_routes
 from web.api.refusals import answer_errors, renamed_routes, require_utf8
 from web.api.rig import bench_routes
-from web.api.runs import runs_routes
+from web.api.runs import MCAP_MEDIA_TYPE, runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
 from web.gateway.host import Gateway, TargetStreams, gateway_routes
 from web.gateway.options import GatewayOptions
 from web.scene.proxy import viser_routes
 from web.scene.view import SceneView
+from web.static_files import STATIC, CheckedFiles, page
 
-STATIC = Path(__file__).parent / "static"
-#: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
-CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
+#: Smallest response that is compressed [bytes]: a smaller one fits into a packet anyway. A higher level of compression
+#: would save a few percent more and take twice the time.
+MIN_COMPRESSED_BYTES, COMPRESSION_LEVEL = 1400, 5
 #: Time limit for the control process to compile and start [s]. The start takes a minute, or several on a busy computer.
 START_TIMEOUT_S = 600.0
 #: Duration of the start after which the terminal prints the reason of the delay [s].
@@ -331,12 +331,13 @@ def build_app(
     app.include_router(renamed_routes())
     app.include_router(routes)
 
-    @app.get("/", include_in_schema=False)
-    def page() -> FileResponse:
-        headers = {"cache-control": "no-cache", "content-security-policy": CONTENT_POLICY}
-        return FileResponse(STATIC / "index.html", headers=headers)
-
-    app.mount("/static", StaticFiles(directory=STATIC))
+    app.add_api_route("/", page, include_in_schema=False)
+    app.mount("/static", CheckedFiles(directory=STATIC))
+    # Recordings are compressed already.
+    app.add_middleware(
+        GZipMiddleware, minimum_size=MIN_COMPRESSED_BYTES, compresslevel=COMPRESSION_LEVEL,
+        exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, MCAP_MEDIA_TYPE),
+    )  # fmt: skip
 
     answer_errors(app)
     app.openapi()  # generated now, because doing this in a request could delay STOP

@@ -26,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     serve.add_argument(
         "--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (default: gentle)"
     )
+    serve.add_argument("--robot", metavar="ROBOT", help="robot: preset or .toml file (default: paper)")
     serve.add_argument(
         "--seed", type=seed, metavar="N", help="seed of all random numbers of the virtual lab (default: 0)"
     )
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _serve(parsed: argparse.Namespace) -> int:
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())
-    given = {"lab": parsed.lab, "seed": parsed.seed, "calibration": known}
+    given = {"robot": parsed.robot, "lab": parsed.lab, "seed": parsed.seed, "calibration": known}
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
     with _exit_on_signal():

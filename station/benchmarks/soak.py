@@ -20,6 +20,7 @@ import numpy as np
 from core.errors import CtrError
 from station.config.loads import ConstantLoad, NoLoad
 from station.config.motions import CircleMotion, HoldMotion, SinusoidMotion
+from station.control.realtime import TOO_BUSY
 from station.control.states import State
 from station.lab.faults import FaultKind, LabFault
 from station.service.station_file import load_station
@@ -69,8 +70,6 @@ START_TIMEOUT_S = 300.0
 FAULT_REPORT_TIMEOUT_S, RECOVERY_TIMEOUT_S = 3.0, 400.0
 #: Growth of a process's memory that is not yet a failure [bytes], and largest slope that is no leak [bytes/s].
 MEMORY_TOLERANCE_BYTES, LEAK_BYTES_PER_S = 8e6, 2e3
-#: Words in a cause about the control loop that mean that the computer, not the station, is responsible.
-COMPUTER_CAUSES = ("late", "missed")
 RESTING_STATES = (State.HOLD, State.STOPPED, State.FAULT)
 
 
@@ -295,7 +294,8 @@ class _Soak:
                 self.result.wrong.append(f"unexplained {status.state.name}: {status.cause or 'no cause given'}")
 
     def _is_machine(self, cause: str) -> bool:
-        return "the control loop" in cause and any(word in cause for word in COMPUTER_CAUSES)
+        """Return whether the computer, not the station, is responsible for a cause."""
+        return TOO_BUSY in cause
 
     def _pause(self, seconds: float) -> None:
         end = time.monotonic() + seconds

@@ -30,6 +30,11 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run.add_argument("--calibration", type=Path, metavar="DIR", help="folder with the results of 'calibrate'")
     run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     run.add_argument("--robot", metavar="ROBOT", help="robot instead of the experiment's: preset or .toml file")
+    run.add_argument("--case", metavar="NAME", help="only this case of the experiment")
+    run.add_argument(
+        "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
+        help="another value of a key of the experiment's file, e.g. controller.k1=2.5; may be repeated",
+    )  # fmt: skip
     run.add_argument(
         "--jobs", type=count(1024), metavar="N", help="number of parallel cases (default: one per processor)"
     )
@@ -53,20 +58,26 @@ def _run(parsed: argparse.Namespace) -> int:
 
 
 def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> int:
-    from station.config.strict import use_experiments
+    from station.config.strict import ConfigError, use_experiments
     from station.control.monitors import Margins, check_design
     from station.experiments.best_possible import with_bound
     from station.experiments.case_summary import model_note
     from station.experiments.experiment import load_experiment
     from station.experiments.output import ResultFolder, result_table
     from station.experiments.saved import use_saved
+    from station.experiments.sweep_plan import nested, settings
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     use_saved(data_folder(parsed))
     given = {"robot": parsed.robot, "lab": parsed.lab, "calibration": parsed.calibration}
-    changes = {key: command_line_path(value) for key, value in given.items() if value is not None}
-    experiment = load_experiment(parsed.experiment, changes)
+    chosen = settings(parsed.settings)
+    if len(chosen) > 1:
+        raise ConfigError("--set KEY=A,B gives several values, but 'run' uses one; 'sweep' runs all of them")
+    changes = nested(
+        (*chosen[0], *((key, command_line_path(value)) for key, value in given.items() if value is not None))
+    )
+    experiment = load_experiment(parsed.experiment, changes).only(parsed.case)
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
             sys.stderr.write(f"ctr-station: {warning}\n")

@@ -174,10 +174,10 @@ def _flag(value: Any) -> bool:
 def _trouble(value: Any) -> DeviceFault | None:
     if value is None:
         return None
-    severity, text = value
-    if not isinstance(text, str):
-        raise ContractError("its text must be a str")
-    return DeviceFault(Severity(severity), text)
+    fault = DeviceFault(*value)  # `details` may be missing
+    if not isinstance(fault.text, str) or not isinstance(fault.details, str):
+        raise ContractError("its text and details must be str")
+    return fault._replace(severity=Severity(fault.severity))
 
 
 def _details(value: Any) -> Mapping[str, Any]:

@@ -70,11 +70,11 @@ class TargetTrack:
             return ""
         if np.isinf(self._last_frame):
             return (
-                f"target: not measured yet (more than {TARGET_LOST_S:g} s); name its coil in devices.tracker.target,"
-                " or bring it into the tracker's volume"
+                f"the target was not measured yet (more than {TARGET_LOST_S:g} s); name its coil in"
+                " devices.tracker.target, or bring it into the tracker's volume"
             )
         return (
-            f"target: not measured for {self._now - self._last_frame:.1f} s (more than {TARGET_LOST_S:g} s);"
+            f"the target was not measured for {self._now - self._last_frame:.1f} s (more than {TARGET_LOST_S:g} s);"
             " bring it back into the tracker's volume"
         )
 

@@ -96,6 +96,11 @@ class ControlLoop:
         return str(self._causes)
 
     @property
+    def cause_details(self) -> str:
+        """Addresses and raw values that belong to the causes; empty if there are none."""
+        return self._causes.details
+
+    @property
     def phase(self) -> Phase:
         """Phase of the present run or jog."""
         if self._jog is not None:
@@ -110,15 +115,15 @@ class ControlLoop:
 
     # Commands
 
-    def request(self, event: Transition, cause: str = "") -> None:
-        """Change the state by an event; `cause` is the reason of a HOLD, STOP or FAULT.
+    def request(self, event: Transition, cause: str = "", details: str = "") -> None:
+        """Change the state by an event; `cause` is the reason of a HOLD, STOP or FAULT, with its `details`.
 
         Raises:
             RefusedError: the present state does not allow the event.
         """
         before, self.state = self.state, next_state(self.state, event)
         if event in (Transition.STOP, Transition.FAULT, Transition.HOLD):
-            self._causes = (self._causes if before in LATCHED else StopReasons()).add(cause)
+            self._causes = (self._causes if before in LATCHED else StopReasons()).add(cause, details)
             self.progress, self._jog, self._rest = None, None, None
             self._after_homing = None
             self._target.end()
@@ -165,10 +170,16 @@ class ControlLoop:
         self.request(Transition.HOME)
         self._after_homing = then
 
-    def stop(self, now: float, event: Transition = Transition.STOP, cause: str = "stopped by the operator") -> None:
+    def stop(
+        self,
+        now: float,
+        event: Transition = Transition.STOP,
+        cause: str = "stopped by the operator",
+        details: str = "",
+    ) -> None:
         """Stop every axis first, then change the state."""
         self.devices.stages.stop(now)
-        self.request(event, cause)
+        self.request(event, cause, details)
 
     def start(self, task: MotionTask) -> None:
         """Start a task: approach the start pose, rest to tare the sensors and measure the tip, then execute the motion.
@@ -264,7 +275,8 @@ class ControlLoop:
             # This tick sends only the stop; the next tick continues from the last valid state of the controller.
             stages.stop(now)
             if self.state in (State.READY, State.RUNNING):
-                self.request(Transition.HOLD, not_finite(joints, frame, wrenches) or str(error))
+                cause, details = not_finite(joints, frame, wrenches)
+                self.request(Transition.HOLD, cause or f"the controller cannot continue: {error}", details)
             return self._frozen_row(now, joints, wrenches)
         self._memory = tick.memory
         snap = self._snap.check(tick, frame is not None, now) if self.state in (State.RUNNING, State.HOLD) else None
@@ -297,12 +309,12 @@ class ControlLoop:
         ):
             self._act_on(fault, now)
         elif self.state is State.FAULT:
-            self._causes = self._causes.extend(fault.text)
+            self._causes = self._causes.extend(fault.text, fault.details)
         return fault
 
     def _act_on(self, fault: DeviceFault | None, now: float) -> None:
         if fault is not None and self.state is not State.FAULT:
-            self.stop(now, EVENT_BY_SEVERITY[fault.severity], fault.text)
+            self.stop(now, EVENT_BY_SEVERITY[fault.severity], fault.text, fault.details)
 
     def _auto_transitions(self, now: float, stages: Condition, fault: DeviceFault | None) -> None:
         """Change the state when the devices, the stages or the controller become ready, or homing fails."""
@@ -391,7 +403,7 @@ class ControlLoop:
         """Set tare, start tip and motion from the measurements at rest; return False without a tracker frame."""
         tip, self._rest = rest.tip, None
         if tip is None or self._memory is None:
-            text = f"no tracker frame in {AVERAGE_S:g} s; is the coil inside the tracker's volume?"
+            text = f"the tracker measured no position within {AVERAGE_S:g} s; is the coil inside its volume?"
             self._act_on(DeviceFault(Severity.HOLD, text), now)
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)

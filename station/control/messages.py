@@ -40,6 +40,7 @@ class StateNotice(NamedTuple):
     cause: str
     run: int  #: number of the run that the notice is about
     motion_start: float | None = None  #: start of the run's motion, by the station's clock [s]; None: no motion
+    details: str = ""  #: addresses and raw values that belong to the cause
 
 
 class CommandRefused(NamedTuple):
@@ -60,7 +61,7 @@ class DeviceStatus:
     severity: int
     """severity of the fault; 0: none"""
     text: str
-    """description of the fault, with an instruction"""
+    """description of the fault, with an instruction and the device's address"""
     details: Mapping[str, Any]
 
 

@@ -21,6 +21,7 @@ from core.robot.robot import Array
 from core.robot.strength import design_snap_number
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Positive, Strict
+from station.control.realtime import load, too_busy
 from station.control.states import Transition
 from station.devices.interfaces import DeviceFault, Devices, JointReading, Severity, TipReading, WrenchReading
 
@@ -158,8 +159,8 @@ class ProgressMonitor:
         if error < PROGRESS_RATIO * before:
             return ""
         return (
-            f"{self._reason}: the tip is {1e3 * error:.2g} mm off and has not come nearer for {STALL_TIME_S:g} s;"
-            " move the target or start elsewhere"
+            f"the tip is {1e3 * error:.2g} mm off and has not come nearer for {STALL_TIME_S:g} s;"
+            f" move the target or start elsewhere ({self._reason})"
         )
 
     def _overload(self, now: float, tick: Tick, limits: Limits) -> str:
@@ -170,7 +171,7 @@ class ProgressMonitor:
         if bound is None or now - self._borne < OVERLOAD_TIME_S:
             return ""
         return (
-            f"force on the tip {force:.2g} N is above {bound.newton:.2g} N ({bound.reason} bears no more):"
+            f"the force on the tip {force:.2g} N is above {bound.newton:.2g} N ({bound.reason} bears no more):"
             " take the load off or move the target away; max_force in the robot's file sets another limit"
         )
 
@@ -224,15 +225,20 @@ class Overruns:
         self._in_a_row += 1
         self._missed += skipped
         recent.append((now, skipped))
-        reason = f"; {slow or 'other programs on this computer use its processors: see ctr-station doctor'}"
         if self._in_a_row >= min(self._limits.fault_in_a_row, self._limits.hold_in_a_row):
             severity = Severity.FAULT if self._in_a_row >= self._limits.fault_in_a_row else Severity.HOLD
-            return DeviceFault(severity, f"the control loop was late {self._in_a_row} times in a row{reason}")
+            return _overrun(severity, f"the control loop was late {self._in_a_row} times in a row", slow)
         if self._missed > self._max_missed:
-            return DeviceFault(
-                Severity.HOLD, f"the control loop has missed {self._missed} periods in {OVERRUN_WINDOW_S:g} s{reason}"
-            )
+            what = f"the control loop missed {self._missed} periods in {OVERRUN_WINDOW_S:g} s"
+            return _overrun(Severity.HOLD, what, slow)
         return None
+
+
+def _overrun(severity: Severity, what: str, slow: str) -> DeviceFault:
+    """Return the fault of a late control loop; `slow` names the custom code that delayed it, empty if none did."""
+    if slow:
+        return DeviceFault(severity, f"custom code is too slow: {what}; {slow}")
+    return DeviceFault(severity, too_busy(f"{what}, and all axes were stopped"), load())
 
 
 #: Severities of stages, tracker and force sensors while no device has a fault.
@@ -264,14 +270,14 @@ def blocks_motion(trouble: DeviceFault | None) -> bool:
     return trouble is not None and trouble.severity is not Severity.WARN
 
 
-def not_finite(joints: JointReading, frame: TipReading | None, wrenches: WrenchReading) -> str:
-    """Return a text that names the device with a NaN or infinite reading; empty if all readings are finite."""
+def not_finite(joints: JointReading, frame: TipReading | None, wrenches: WrenchReading) -> tuple[str, str]:
+    """Return a cause that names the device with a NaN or infinite reading, and the reading; empty if all are finite."""
     readings = (
-        ("stages: positions", joints.positions),
-        ("tracker: position", None if frame is None else frame.position),
-        ("force sensors: wrenches", wrenches.wrenches),
+        ("the stages reported positions", joints.positions),
+        ("the tracker reported a position", None if frame is None else frame.position),
+        ("the force sensors reported forces", wrenches.wrenches),
     )
-    for name, numbers in readings:
+    for what, numbers in readings:
         if numbers is not None and not np.isfinite(numbers).all():
-            return f"{name} {numbers.tolist()} are not finite; the sample was not used: check the device, then reset"
-    return ""
+            return f"{what} that are not finite, and the sample was not used; check the device", str(numbers.tolist())
+    return "", ""

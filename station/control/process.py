@@ -22,7 +22,7 @@ from station.control.driver_guard import DriverCalls, DriverError, guard_drivers
 from station.control.loop import ControlLoop
 from station.control.messages import Command, CommandRefused, DeviceName, DeviceReport, DeviceStatus, Reply, StateNotice
 from station.control.monitors import Margins, OverrunLimits, Overruns
-from station.control.realtime import is_dying, load, request_realtime, set_process_name
+from station.control.realtime import is_dying, load, request_realtime, set_process_name, too_busy
 from station.control.ring import DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
 from station.control.states import State, Transition
 from station.control.task import MotionTask, Phase, StreamRequest
@@ -186,7 +186,7 @@ class _LiveLoop:
         if late is not None:
             event = Transition.FAULT if late.severity is Severity.FAULT else Transition.HOLD
             if event is Transition.FAULT or self._loop.state is State.RUNNING:
-                self._loop.stop(now, event, late.text)
+                self._loop.stop(now, event, late.text, late.details)
 
     def _tick(self, tick: int) -> None:
         loop, ring, now = self._loop, self._ring, tick * PERIOD_S
@@ -199,22 +199,16 @@ class _LiveLoop:
         if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
-        elif loop.state in (State.RUNNING, State.HOMING) and (cause := self._without_station(standstill)):
-            loop.stop(now, cause=cause)
+        elif loop.state in (State.RUNNING, State.HOMING) and (details := self._without_station(standstill)):
+            silent = f"the station process was silent for {self._station.silence:.1f} s, and all axes were stopped"
+            loop.stop(now, cause=too_busy(silent), details=details)
 
     def _without_station(self, standstill: float) -> str:
-        """Return why motion must stop while the station process is silent; empty if it may continue."""
-        silence = self._station.silence
+        """Return details of the station process's silence if motion must stop; empty if it may continue."""
         if standstill > STATION_TIMEOUT_S:
-            return (
-                f"the station process has not run for {standstill:.1f} s: it is suspended, or other programs on this"
-                f" computer leave it no processor ({load()}); end them, see ctr-station doctor"
-            )
-        if silence > STATION_BUSY:
-            return (
-                f"the station process was too busy for {silence:.0f} s to take a STOP ({load()}); close pages and"
-                " clients, end other programs on this computer"
-            )
+            return f"the station process used no processor for {standstill:.1f} s, or it is suspended; {load()}"
+        if self._station.silence > STATION_BUSY:
+            return f"the station process ran without a heartbeat, so it could not take a STOP; {load()}"
         return ""
 
     def _setpoint_request(self) -> StreamRequest | None:
@@ -236,7 +230,7 @@ class _LiveLoop:
         progress = loop.progress
         known = progress is not None and progress.phase in (Phase.SETTLING, Phase.MOVING)
         start = self._started + progress.motion_start if progress is not None and known else None
-        notice = StateNotice(loop.state, loop.cause, self._run, start)
+        notice = StateNotice(loop.state, loop.cause, self._run, start, loop.cause_details)
         if notice != self._sent_notice:
             self._sent_notice = notice
             self._pipe.send(notice)
@@ -311,7 +305,7 @@ def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
     names: tuple[DeviceName, ...] = ("stages", "tracker", "sensors")
     for name, device in zip(names, (devices.stages, devices.tracker, devices.sensors), strict=True):
         trouble = device.trouble(now)
-        severity, text = (0, "") if trouble is None else (int(trouble.severity), trouble.text)
+        severity, text = (0, "") if trouble is None else (int(trouble.severity), str(trouble))
         found.append(
             DeviceStatus(name=name, condition=device.condition, severity=severity, text=text, details=device.details())
         )

@@ -144,6 +144,17 @@ def processor_time(pid: int) -> float | None:
         return None
 
 
+#: Start of every cause that blames other programs on this computer.
+TOO_BUSY = "this computer was too busy"
+#: What a person does against a busy computer.
+RELIEF = "close other programs and run 'ctr-station doctor'"
+
+
+def too_busy(what: str) -> str:
+    """Return the cause of a stop that other programs on this computer are responsible for; `what` has happened."""
+    return f"{TOO_BUSY}: {what}; {RELIEF}"
+
+
 def is_dying(pid: int) -> bool:
     """Return whether a process has been killed or has ended, as far as the system reports it.
 

@@ -97,17 +97,29 @@ class StopReasons:
     """Causes of HOLD, STOP or FAULT since the last reset, in their order, each once."""
 
     texts: tuple[str, ...] = ()
+    every_detail: tuple[str, ...] = ()  #: addresses and raw values of each cause; empty texts where there are none
 
-    def add(self, text: str) -> "StopReasons":
+    def add(self, text: str, details: str = "") -> "StopReasons":
         """Return the causes with one more; a cause that is already known is not added again."""
-        return self if not text or text in self.texts else StopReasons((*self.texts, text))
+        if not text or text in self.texts:
+            return self
+        return StopReasons((*self.texts, text), (*self.every_detail, details))
 
-    def extend(self, text: str) -> "StopReasons":
+    def extend(self, text: str, details: str = "") -> "StopReasons":
         """Return the causes with `text` in place of the cause that `text` starts with.
 
         The text of a lost serial link grows, because the axes miss their polls one after the other.
         """
-        return StopReasons(tuple(text if text.startswith(known) else known for known in self.texts))
+        pairs = [
+            (text, details) if text.startswith(known) else (known, about)
+            for known, about in zip(self.texts, self.every_detail, strict=True)
+        ]
+        return StopReasons(tuple(text for text, _ in pairs), tuple(details for _, details in pairs))
+
+    @property
+    def details(self) -> str:
+        """Addresses and raw values of all causes in one line."""
+        return "; then ".join(filter(None, self.every_detail))
 
     def __str__(self) -> str:
         return "; then ".join(self.texts)

@@ -37,7 +37,16 @@ class DeviceFault(NamedTuple):
     """A fault of a device."""
 
     severity: Severity
-    text: str  #: what is wrong, where, and what to do
+    text: str  #: what has happened and what to do, in words without addresses
+    details: str = ""  #: device, address and raw values, for the person who repairs it
+
+    def __str__(self) -> str:
+        return with_details(self.text, self.details)
+
+
+def with_details(text: str, details: str) -> str:
+    """Return a text and its details in one line, for logs and recordings."""
+    return f"{text} ({details})" if details else text
 
 
 class JointReading(NamedTuple):

@@ -109,6 +109,17 @@ class Experiment(NamedTuple):
     paper: Mapping[str, PaperNumbers]  #: numbers of the paper by case
     source: str  #: text of the file, stored with the results
 
+    def only(self, name: str | None) -> "Experiment":
+        """Return the experiment with only this case; None: with all cases.
+
+        Raises:
+            ConfigError: there is no such case; the text names the cases.
+        """
+        cases = tuple(case for case in self.cases if name in (None, case.name))
+        if not cases:
+            raise ConfigError(f"--case {name}: the cases are {', '.join(case.name for case in self.cases)}")
+        return self._replace(cases=cases)
+
 
 class _PaperTable(Strict):
     paper: Mapping[str, PaperNumbers]

@@ -21,6 +21,7 @@ from station.control.realtime import uncollected
 from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
+from station.devices.interfaces import with_details
 from station.experiments.experiment import Case
 from station.experiments.job_pool import interrupts
 from station.lab.config import LabConfig
@@ -90,12 +91,12 @@ def run_case(
                         started = True
                     elif loop.cause or now > CONNECT_TIMEOUT_S:
                         cause = (
-                            loop.cause
+                            with_details(loop.cause, loop.cause_details)
                             or f"{loop.state.name} after {CONNECT_TIMEOUT_S:g} s: {_connect_problem(loop, now)}"
                         )
                         break
                 elif loop.progress is None:
-                    cause = loop.cause
+                    cause = with_details(loop.cause, loop.cause_details)
                     break
                 elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
                     motion_start = loop.progress.motion_start
@@ -137,7 +138,7 @@ def _connect_problem(loop: ControlLoop, now: float) -> str:
     """Return the reason why the station is not ready: the faults of its devices, or stages that are not homed."""
     devices = loop.devices
     troubles = [device.trouble(now) for device in (devices.stages, devices.tracker, devices.sensors)]
-    return "; ".join(trouble.text for trouble in troubles if trouble is not None) or "the stages are not homed"
+    return "; ".join(str(trouble) for trouble in troubles if trouble is not None) or "the stages are not homed"
 
 
 def warm_up() -> None:

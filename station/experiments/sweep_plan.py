@@ -181,10 +181,8 @@ def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only:
     """
     listed: list[tuple[Setting, Case, int]] = []
     for setting in chosen:
-        cases = load_experiment(experiment, nested(setting)).cases
-        if only is not None and only not in [case.name for case in cases]:
-            raise ConfigError(f"--case {only}: the cases are {', '.join(case.name for case in cases)}")
-        listed += [(setting, case, seed) for case in cases if only in (None, case.name) for seed in seeds]
+        cases = load_experiment(experiment, nested(setting)).only(only).cases
+        listed += [(setting, case, seed) for case in cases for seed in seeds]
     return [SweepJob(number, *one) for number, one in enumerate(listed)]
 
 

@@ -36,7 +36,7 @@ FALLBACK_STOP_TIMEOUT_S = 8.0
 WATCHER_PRIORITY = PRIORITY
 
 #: Answer to a STOP while there is no control process.
-NOTHING_MOVES = "there is no control process and nothing moves"
+NOTHING_MOVES = StopOutcome(True, "there is no control process and nothing moves")
 
 ControlReport = StateNotice | DeviceReport | CommandRefused | StopOutcome
 
@@ -50,6 +50,7 @@ class ExitReport(NamedTuple):
 
     how: str  #: signal or exit status of the process, or why it was killed
     stages: str  #: what happens to the stages now; a `StopOutcome` follows
+    details: str = ""  #: values that belong to `how`
 
 
 class ControlHost:
@@ -87,7 +88,7 @@ class ControlHost:
         self._attempt: Future[StopOutcome] | None = None  # attempt to stop the stages after the end of the process
         self._over = threading.Event()  # set when the process has ended and the attempt to stop its stages has started
         self._closing = False
-        self._killed = ""  # reason for killing the process; empty if it was not killed
+        self._killed = ("", "")  # reason for killing the process, and its details; empty if it was not killed
         self._opened: BenchFile | None = None  # devices that the process was instructed to open
         ring.numbers[HEARTBEAT], ring.counters[DRIVER_IN_CALL] = 0.0, 0
         self._child = ChildProcess(run_control, bench.control, ring.name, name="control")
@@ -160,26 +161,27 @@ class ControlHost:
                 permit.check(what)  # raises with the name of the STOP or reset that came in between
             raise RefusedError(refused)
 
-    def stop(self, cause: str = "stopped by the operator") -> str:
+    def stop(self, cause: str = "stopped by the operator") -> StopOutcome:
         """Stop every axis, without the control process if necessary, within `STOP_REPLY_TIMEOUT_S`.
 
         Returns:
-            A warning for the operator; empty when every axis has stopped.
+            Whether every axis is known to be at rest, and what the operator must know; usually nothing.
         """
         deadline = self._clock.now() + STOP_REPLY_TIMEOUT_S
         try:
             self.send_command(Transition.STOP, cause=cause)
-            return ""
+            return NO_STAGES
         except NoReply as error:
             if not self.ticking:
-                return f"{error}: it is starting and executes the stop first"
+                return StopOutcome(True, f"{error}: it is starting and executes the stop first")
             return self._stop_instead(f"{error} and was ended", deadline)
         except RefusedError as error:
             if self.alive and not self._ended:
                 return self._stop_instead(f"the control process could not stop ({error}) and was ended", deadline)
             if not self._over.wait(self._left(deadline)) or self._fallback is None or not self._driven:
-                return self._outcome(deadline).text or NOTHING_MOVES
-            return self._fallback(deadline - self._clock.now()).text
+                outcome = self._outcome(deadline)
+                return outcome if outcome.text else NOTHING_MOVES
+            return self._fallback(deadline - self._clock.now())
 
     def hold(self, cause: str) -> None:
         """Send a command that ends a motion in HOLD; do not wait for its answer."""
@@ -189,9 +191,10 @@ class ControlHost:
             finally:
                 self._sending.release()
 
-    def kill(self, why: str) -> None:
-        """Kill the control process, stop the stages and report `why`."""
-        self._killed = self._killed or why
+    def kill(self, why: str, details: str = "") -> None:
+        """Kill the control process, stop the stages and report `why`, with `details` such as raw values."""
+        if not self._killed[0]:
+            self._killed = why, details
         self._child.kill()
 
     def close(self) -> StopOutcome:
@@ -213,12 +216,13 @@ class ControlHost:
             self._fallback.close(FALLBACK_STOP_TIMEOUT_S)
         return stopped
 
-    def _stop_instead(self, why: str, deadline: float) -> str:
-        """Kill a process that does not stop the stages; return the outcome of the fallback stop, human-readable."""
+    def _stop_instead(self, why: str, deadline: float) -> StopOutcome:
+        """Kill a process that does not stop the stages; return the outcome of the fallback stop, with the reason."""
         waits_for = self.waits_for
         why = f"{why}; it was waiting for {waits_for}" if waits_for else why
         self.kill(why)
-        return f"{why}; {self._outcome(deadline).text}"
+        outcome = self._outcome(deadline)
+        return StopOutcome(outcome.confirmed, f"{why}; {outcome.text}")
 
     def _outcome(self, deadline: float) -> StopOutcome:
         """Return the outcome of stopping the stages after the process has ended, as known at the deadline [s]."""
@@ -259,11 +263,10 @@ class ControlHost:
             self._attempt = self._fallback.begin()
         try:
             if not self._closing:
-                how = (
-                    self._killed or f"the control process ended {self._child.ended(self._clock.real(REPLY_TIMEOUT_S))}"
-                )
+                killed, details = self._killed
+                how = killed or f"the control process ended {self._child.ended(self._clock.real(REPLY_TIMEOUT_S))}"
                 self._child.kill()  # threads of a custom driver may keep it alive
-                self._on_exit(ExitReport(how, "" if self._attempt is None else "the stages are being stopped"))
+                self._on_exit(ExitReport(how, "" if self._attempt is None else "the stages are being stopped", details))
         finally:
             self._over.set()
         if self._attempt is not None and self._fallback is not None:

@@ -10,7 +10,7 @@ from station.config.strict import ConfigError
 from station.control.child_process import is_alive
 from station.control.messages import StateNotice
 from station.control.process import ring_width
-from station.control.realtime import load, request_fifo
+from station.control.realtime import load, request_fifo, too_busy
 from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATION_HEARTBEAT, Ring
 from station.control.states import RefusedError, State
 from station.devices.config import BenchFile
@@ -286,9 +286,11 @@ class ProcessSupervisor:
         if control is None or not control.alive:
             return
         if ticked > 0.0 and now - ticked > self._tick_timeout:
-            waits_for = f": it waits for {control.waits_for}" if control.waits_for else ""
-            why = waits_for or f" ({load()}): end other programs on this computer, see ctr-station doctor"
-            control.kill(f"the control loop has not ticked for {self._tick_timeout:g} s{why}")
+            silent, waits_for = f"the control loop was silent for {now - ticked:.1f} s", control.waits_for
+            if waits_for:
+                control.kill(f"{silent}, because it waits for {waits_for}")
+            else:
+                control.kill(too_busy(silent), load())
         elif problem := self._problem():
             # A run has no value without its recording, so a failed recording ends the run in HOLD.
             control.hold(problem)

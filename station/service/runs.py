@@ -21,6 +21,7 @@ from station.control.messages import StateNotice
 from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.states import State
 from station.control.task import MotionTask
+from station.devices.interfaces import with_details
 from station.lab.faults import LabFault
 from station.recording.foxglove import ERROR, INFO, RecordedEvent
 from station.recording.recorder import START_TIMEOUT_S, Recorder
@@ -269,13 +270,14 @@ class Runs:
     def state_changed(self, notice: StateNotice) -> None:
         """Add a change of the station's state to the recording of the run."""
         if self.recorder is not None:
-            text = f"{notice.state.name}{notice.cause and ': '}{notice.cause}"
+            cause = with_details(notice.cause, notice.details)
+            text = f"{notice.state.name}{cause and ': '}{cause}"
             self.recorder.add_event(self._time(), "state", text, bad=notice.state in (State.HOLD, State.FAULT))
 
     def on_state(self, notice: StateNotice) -> None:
         """End the recording if the notice reports the end of its run."""
         if self._recorded is not None and notice.run == self._recorded.number and notice.state is not State.RUNNING:
-            self._finish(notice.state, notice.cause)
+            self._finish(notice.state, with_details(notice.cause, notice.details))
 
     def interrupted(self, cause: str) -> None:
         """End the recording of a run whose control process has died."""

@@ -14,6 +14,7 @@ from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, 
 from station.control.states import LATCHED, State, StopReasons
 from station.control.task import Phase
 from station.control.telemetry import Channels, stale_groups
+from station.devices.interfaces import with_details
 from station.recording.run_outcome import limited_parts, saturation_warning
 from station.service.runs import RunRequest
 
@@ -24,7 +25,6 @@ SATURATION_SAMPLES = 200
 #: Fewest samples for a warning about joints at their limits.
 MIN_SATURATION_SAMPLES = 20
 STUCK_TEXT = "the simulated robot cannot follow its stages under its load and stays where it is: take the load off"
-RESET_HINT = "reset to restart it"
 #: States that the station process itself sets: a dead control process cannot report them.
 STATION_STATES = (State.OFF, State.FAULT)
 
@@ -33,7 +33,7 @@ class StationStatus(NamedTuple):
     """Status of a station at one moment."""
 
     state: State  #: present state
-    cause: str  #: cause of HOLD, STOPPED or FAULT
+    cause: str  #: cause of HOLD, STOPPED or FAULT, in words
     run: RunRequest | None  #: the present run, or the last one
     recording: bool  #: whether a run is being recorded, or its recording is being finished
     phase: Phase  #: phase of the run
@@ -45,6 +45,7 @@ class StationStatus(NamedTuple):
     warnings: tuple[str, ...]  #: warnings about this computer, this robot and the present run
     reserved: str  #: reason why only a calibration procedure may move the robot; empty if it is not reserved
     stale_groups: frozenset[str] = frozenset()  #: groups of `values` that are stale
+    details: str = ""  #: addresses and raw values that belong to the cause
 
 
 class StateMonitor:
@@ -54,7 +55,7 @@ class StateMonitor:
         self._ring, self._channels, self._clock = ring, channels, clock
         self._lock = threading.RLock()
         self.reported = State.OFF  #: state that the control process has reported last; `state` may be slightly newer
-        self.cause = ""  #: cause of the state that was reported last
+        self.cause = self.details = ""  #: cause of the state that was reported last, and its addresses and values
         self.entered: Counter[State] = Counter()  #: how often the station has entered each state
         self.devices: tuple[DeviceStatus, ...] = ()  #: devices as last reported; empty before the first report
         self.refusals: tuple[str, ...] = ()  #: warnings about settings that the system has refused the control process
@@ -67,27 +68,35 @@ class StateMonitor:
         with self._lock:
             return self.reported if self.reported in STATION_STATES else State(int(self._ring.counters[STATE]))
 
-    def set_reported(self, state: State, cause: str) -> bool:
+    @property
+    def full_cause(self) -> str:
+        """Cause of the state that was reported last, with its details, for the terminal, the log and recordings."""
+        return with_details(self.cause, self.details)
+
+    def set_reported(self, state: State, cause: str, details: str = "") -> bool:
         """Store a reported state; return whether it differs from the previous one."""
         with self._lock:
             changed = self.reported is not state
-            self.reported, self.cause = state, cause
+            self.reported, self.cause, self.details = state, cause, details
             self.entered[state] += changed
         return changed
 
-    def fault(self, how: str, stages: str) -> str:
+    def fault(self, how: str, stages: str, details: str = "") -> str:
         """Set FAULT after the end of the control process; return the cause, which starts with the earlier causes.
 
         Args:
             how: how the process ended.
             stages: text about the stages until `set_stop_outcome` is called; empty if no process has driven the stages.
+            details: values that belong to `how`.
         """
         with self._lock:
             before = StopReasons().add(self.cause if self.reported in LATCHED else "")
             # A process that ends after its own fault has already reported the cause.
-            self._end = str(before if self.reported is State.FAULT else before.add(how))
+            known = self.reported is State.FAULT
+            self._end = str(before if known else before.add(how))
+            self.details = self.details if known else "; then ".join(filter(None, (self.details, details)))
             self.reported = State.FAULT
-            self.cause = f"{self._end}; {stages or RESET_HINT}"
+            self.cause = "; ".join(filter(None, (self._end, stages)))
             self.entered[State.FAULT] += 1
             return self.cause
 
@@ -95,12 +104,13 @@ class StateMonitor:
         """Store the outcome of stopping the stages after the control process has ended."""
         with self._lock:
             if self._end:
-                self.cause = f"{self._end}; {text}; {RESET_HINT}"
+                self.cause = f"{self._end}; {text}"
 
     def forget(self) -> None:
         """Clear the reported state before the control process is restarted."""
         with self._lock:
-            self.reported, self.cause, self._end = State.OFF, "", ""
+            self.reported = State.OFF
+            self.cause = self.details = self._end = ""
 
     def device_problems(self) -> str:
         """Return the messages of all devices with a problem, or the name of the state if there are none."""
@@ -111,7 +121,7 @@ class StateMonitor:
     ) -> StationStatus:
         """Return the status of the station; the arguments are the parts that this monitor does not store."""
         ring = self._ring
-        state, cause = self._state_and_cause()
+        state, cause, details = self._state_and_cause()
         row = ring.latest()
         counters, numbers = ring.counters, ring.numbers
         ours = int(counters[RUN]) == (0 if run is None else run.number)
@@ -133,13 +143,15 @@ class StateMonitor:
             warnings=(*warnings, *self.refusals, *stuck, *run_warnings, *saturated),
             reserved=reserved,
             stale_groups=frozenset() if row is None else stale_groups(self._channels, row),
+            details=details,
         )
 
-    def _state_and_cause(self) -> tuple[State, str]:
-        """Return the present state and its cause; the cause arrives shortly after the state and is empty until then."""
+    def _state_and_cause(self) -> tuple[State, str, str]:
+        """Return the present state, its cause and details; cause and details arrive shortly after the state."""
         with self._lock:
             state = self.state
-            return state, self.cause if state in LATCHED and state is self.reported else ""
+            known = state in LATCHED and state is self.reported
+            return state, self.cause if known else "", self.details if known else ""
 
     def _saturation(self, values: Mapping[str, Array]) -> tuple[str, ...]:
         """Return a warning while joints are at their limits because the tip follows a target."""

@@ -23,7 +23,7 @@ from station.control.ring import STATE, Ring
 from station.control.states import RefusedError, State, Transition, next_state
 from station.control.task import Space
 from station.control.telemetry import Channels
-from station.devices.interfaces import is_simulated
+from station.devices.interfaces import is_simulated, with_details
 from station.lab.faults import LabFault
 from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit, FlightRecorder
@@ -110,11 +110,11 @@ class Supervisor:
             self.ring.written <= since or int(self.ring.counters[STATE]) == State.HOMED
         ):
             if self._state.reported is State.FAULT:
-                raise CtrError(f"the station did not start: {self._state.cause}")
+                raise CtrError(f"the station did not start: {self._state.full_cause}")
             if self._processes.closing:
                 raise RefusedError("the station is ending")
             if self._state.reported is State.OFF and self._state.cause:
-                raise CtrError(f"the station did not start: {self._state.cause}; connect to continue")
+                raise CtrError(f"the station did not start: {self._state.full_cause}; connect to continue")
             if self._clock.now() > deadline:
                 raise CtrError(f"the station did not start within {timeout:g} s: {self._state.device_problems()}")
             self._clock.sleep(0.02)
@@ -194,8 +194,8 @@ class Supervisor:
         """End the reservation; every operator may move the robot again."""
         self._reserved = ""
 
-    def stop(self, cause: str = "stopped by the operator") -> str:
-        """Stop every axis in any state; return a warning for the operator, empty when every axis has stopped.
+    def stop(self, cause: str = "stopped by the operator") -> StopOutcome:
+        """Stop every axis in any state; return whether every axis has stopped, and what the operator must know.
 
         A STOP voids every earlier request for a motion or a reset.
         """
@@ -369,15 +369,16 @@ class Supervisor:
                 self._flight_recorder.note("stages", message.text)
 
     def _on_state(self, notice: StateNotice) -> None:
-        if self._state.set_reported(notice.state, notice.cause):
-            self._flight_recorder.state(notice.state, notice.cause)
+        if self._state.set_reported(notice.state, notice.cause, notice.details):
+            self._flight_recorder.state(notice.state, with_details(notice.cause, notice.details))
             self._runs.state_changed(notice)
         self._runs.on_state(notice)
         self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
 
     def _on_exit(self, ending: ExitReport) -> None:
         """React to the unexpected end of the control process; the `ControlHost` is already stopping the stages."""
-        cause = self._state.fault(ending.how, ending.stages)
+        self._state.fault(ending.how, ending.stages, ending.details)
+        cause = self._state.full_cause
         self._flight_recorder.state(State.FAULT, cause)
         self._runs.interrupted(cause)
         self._processes.lab.motion(None, None)

@@ -74,7 +74,8 @@ class LineStages:
 
     def trouble(self, now: float) -> DeviceFault | None:
         if self._problem or now - self._newest > 0.1:
-            return DeviceFault(Severity.FAULT, self._problem or f"{self._link.name} sends no positions; is it on?")
+            text = "the stages send no positions; are they on?"
+            return DeviceFault(Severity.FAULT, text, self._problem or self._link.name)
         return None
 
     def details(self) -> Mapping[str, Any]:

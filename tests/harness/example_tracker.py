@@ -65,7 +65,8 @@ class LineTracker:
 
     def trouble(self, now: float) -> DeviceFault | None:
         if self._problem or now - self._newest > 10.0 / self._options.rate:
-            return DeviceFault(Severity.HOLD, self._problem or f"{self._link.name} sends no frames; is it tracking?")
+            text = "the tracker sends no frames; is it tracking?"
+            return DeviceFault(Severity.HOLD, text, self._problem or self._link.name)
         return None
 
     def details(self) -> Mapping[str, Any]:

@@ -125,7 +125,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
             case "start":
                 service.start_experiment("demo")  # the demo first goes to its start pose
             case "stop":
-                note = supervisor.stop()
+                note = supervisor.stop().text
             case "reset":
                 note = supervisor.reset()
                 _settled(supervisor)

@@ -47,6 +47,19 @@ def test_readme_script_homes_runs_its_circle_and_downloads_it(near_home: Served,
     assert status["joints"]["inner_rotation"] == pytest.approx(1.57, abs=0.1)
 
 
+def test_readme_script_ends_with_one_sentence_while_a_page_is_operator(near_home: Served, tmp_path: Path):
+    script = block("python", "station.home()").replace("Station()", f"Station({near_home.url!r})")
+    assert near_home.post("/api/operator", {"name": "Anna", "take_over": True}).status_code == 200
+    environment = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=NET, cwd=tmp_path, env=environment
+    )
+    near_home.rest.delete("/api/operator")
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("'Anna' is operator, so this script may not send commands: press Release")
+
+
 def test_readme_script_streams_setpoints(near_home: Served, tmp_path: Path):
     near_home.wait_for(lambda status: status["state"] == "READY")
     script = block("python", "station.setpoints()").replace("Station()", f"Station({near_home.url!r})")
@@ -63,4 +76,4 @@ def test_readme_curl_lines_start_a_circle_print_the_state_and_stop_it(near_home:
     started, status, stopped = (json.loads(line) for line in output.splitlines())
     assert started["run_id"] == status["run"]["id"]
     assert status["state"] == "RUNNING"
-    assert stopped == {"state": "STOPPED", "note": ""}
+    assert stopped == {"state": "STOPPED", "note": "", "confirmed": True}

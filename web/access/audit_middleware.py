@@ -151,9 +151,9 @@ class AuditMiddleware:
 
         async def send_logged(message: Message) -> None:
             nonlocal status
-            if message["type"] == "http.response.start":
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 status = message["status"]
-            elif message["type"] == "http.response.body" and status >= 400:
+            elif message["type"] in ("http.response.body", "websocket.http.response.body") and status >= 400:
                 answer.extend(message.get("body", b"")[: MAX_BODY_BYTES - len(answer)])
             elif message["type"] == "websocket.close" and message.get("code") == 1008:
                 status = 403

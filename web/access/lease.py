@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+from station.client import NOT_OPERATOR
 from station.control.states import RefusedError
 
 #: The lease expires after this time without a request of the operator [s].
@@ -57,7 +58,7 @@ class Lease:
         holder = self.holder()
         if holder is not None and holder.client != client and not over:
             raise LeaseHeldError(
-                f"'{holder.name}' is operator; ask them, or take over (POST /api/operator with take_over)"
+                f"'{holder.name}'{NOT_OPERATOR}; ask them, or take over (POST /api/operator with take_over)"
             )
         self._holder = Holder(client, name, self._clock() + self._length)
         return self._holder

@@ -101,10 +101,11 @@ def operator_out(lease: Lease, who: Sender) -> OperatorOut:
 
 
 def stopper(lease: Lease, who: Sender) -> str:
-    """Return a text that names who sent STOP, for all clients, because any client may send STOP."""
-    if lease.holds(who.client):
-        return "the operator"
-    return f"a viewer, '{who.name}'" if who.role is Role.VIEWER else f"'{who.name}', who is not the operator"
+    """Return name and address of the sender of a STOP or a reset, for all clients."""
+    holder = lease.holder()
+    name = holder.name if holder is not None and holder.client == who.client else who.name
+    text = f"'{name}'" if who.where in name else f"'{name}' ({who.where})"
+    return f"viewer {text}" if who.role is Role.VIEWER else text
 
 
 def operator_routes(of: Commands) -> APIRouter:

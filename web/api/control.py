@@ -37,6 +37,7 @@ from web.api.schemas import (
     StartIn,
     StartOut,
     StatusOut,
+    StopOut,
     TipMotionIn,
 )
 from web.api.status import status_out
@@ -104,11 +105,14 @@ def control_routes(
     """
     router = APIRouter(prefix="/api", responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
     supervisor = service.supervisor
+    stop_client = stop_cause = ""  # who sent the newest STOP, and the cause that the station reports for it
 
     @router.get("/status", summary="Status of the station")
     def status(request: Request) -> StatusOut:
         problem = None if gateway_problem is None else gateway_problem()
-        return status_out(service, of, sender_of(request), side_load(), problem)
+        who = sender_of(request)
+        own = stop_cause if who.client == stop_client else ""
+        return status_out(service, of, who, side_load(), problem, own)
 
     @router.post("/start", status_code=202, summary="Start an experiment or a motion", **of.command)
     async def start(request: StartIn, permit: Permitted) -> StartOut:
@@ -123,15 +127,17 @@ def control_routes(
 
     @router.post(
         "/stop",
-        responses={202: {"model": DoneOut, "description": "accepted, not confirmed yet; see the note"}},
+        responses={202: {"model": StopOut, "description": "accepted, but not as usual; see `confirmed` and `note`"}},
         summary="Stop every axis; always accepted, from any client with access",
     )
-    async def stop(request: Request, response: Response) -> DoneOut:
-        cause = f"stopped by {stopper(of.lease, sender_of(request))}"
-        note = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, cause)
-        if note:
+    async def stop(request: Request, response: Response) -> StopOut:
+        nonlocal stop_client, stop_cause
+        who = sender_of(request)
+        stop_client, stop_cause = who.client, f"stopped by {stopper(of.lease, who)}"
+        outcome = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, stop_cause)
+        if outcome.text:
             response.status_code = 202
-        return DoneOut(state=supervisor.status().state.name, note=note)
+        return StopOut(state=supervisor.status().state.name, note=outcome.text, confirmed=outcome.confirmed)
 
     @router.post("/reset", summary="Reset after STOPPED, HOLD or FAULT", **of.command)
     async def reset(request: Request, permit: Permitted) -> DoneOut:

@@ -94,8 +94,9 @@ def answer_errors(app: FastAPI) -> None:
 
     @app.exception_handler(WebSocketRequestValidationError)
     async def invalid_socket(socket: WebSocket, error: WebSocketRequestValidationError) -> None:
+        # The connection is refused by an HTTP response, because a close frame before the handshake has no reason.
         reason = "; ".join(error_lines(error.errors(), lambda loc: _field(loc, None), "field"))
-        await socket.close(1008, close_reason(reason))
+        await socket.send_denial_response(refusal(reason, 422))
 
     @app.exception_handler(RefusedError)
     def refused(_request: Request, error: RefusedError) -> JSONResponse:

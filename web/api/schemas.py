@@ -82,6 +82,16 @@ class DoneOut(Strict):
     """message for the operator; empty if there is nothing to report"""
 
 
+class StopOut(Strict):
+    """The state after a STOP."""
+
+    state: str
+    note: str = ""
+    """message for the operator; empty if there is nothing to report"""
+    confirmed: bool
+    """true: every axis is at rest, and `note` is information; false: use the emergency stop if anything moves"""
+
+
 class RunOut(Strict):
     """The current run, or the last one."""
 
@@ -166,7 +176,9 @@ class StatusOut(Strict):
     state: str
     """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
-    """why the state is HOLD, STOPPED or FAULT"""
+    """why the state is HOLD, STOPPED or FAULT, in words"""
+    details: str
+    """device, address, raw values and load that belong to `cause` or `message`; empty if there are none"""
     phase: str
     """while RUNNING: approaching, settling, moving or jogging; otherwise none"""
     message: str

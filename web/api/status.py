@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 from station.client import FORMAT
 from station.control.loop import Phase
-from station.control.realtime import load
-from station.control.states import State
+from station.control.realtime import RELIEF, load
+from station.control.states import LATCHED, State
 from station.devices.interfaces import Condition, Severity
 from station.service.contact import SideLoad
 from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
-from web.access.identity import Sender
+from web.access.identity import Role, Sender
 from web.api.commands import Commands, operator_out
 from web.api.schemas import Action, ContactOut, DeviceOut, LoopOut, RunOut, StatusOut
 
@@ -42,32 +42,61 @@ _IDLE_MESSAGES = {
 }
 
 
+class Reader(NamedTuple):
+    """Who reads a message, and about which rig."""
+
+    resets: bool = True  #: whether this client may reset the station
+    operator: str | None = None  #: name of the operator; None: there is none
+    views_only: bool = False  #: whether this client can only view the station and send STOP
+    own_stop: str = ""  #: cause that the station reports for this client's own STOP; empty if it sent none
+    simulated: bool = False  #: whether the devices are those of the virtual lab, where there is no rig to check
+
+
+#: What the robot does in a latched state. After a FAULT the cause itself reports what is known about the axes.
+_CONSEQUENCES = {State.HOLD: "The robot holds its position, motors on", State.STOPPED: "Every axis is at rest"}
 _HOMING_KEYS = {"joint", "number", "of", "gone", "way", "exact", "unit", "left_s"}
 
 
-def state_message(status: StationStatus) -> StateMessage:
+def state_message(status: StationStatus, reader: Reader | None = None) -> StateMessage:
     """Return the message for the station's status; it reports missing telemetry in every state except OFF and FAULT."""
-    state, cause = status.state, status.cause
+    state, reader = status.state, reader or Reader()
     if state is State.FAULT:
+        return _latched(status, reader)
+    if is_silent(status):
         return StateMessage(
-            cause or "unknown cause", "" if "reset" in cause.lower() else "find the cause, then press Reset", "reset"
-        )
-    if status.age > STALE_AFTER_S and state is not State.OFF:
-        return StateMessage(
-            f"no telemetry for {status.age:.0f} s; the last state was {state.name}; {load()}",
-            "press STOP; end other programs on this computer; restart the station if this persists",
+            f"This computer is too busy: no telemetry for {status.age:.0f} s; the last state was {state.name}",
+            f"press STOP; {RELIEF}; restart the station if this persists",
         )
     if state is State.RUNNING:
         if status.phase is Phase.APPROACHING and status.run is not None and not status.run.start.task.rests:
             return StateMessage(f"going {status.run.start.title}", "press STOP to end it")
         return StateMessage(_PHASES[status.phase], "")
-    if state in (State.HOLD, State.STOPPED):
-        return StateMessage(cause or "unknown cause", "check the rig, then press Reset", "reset")
+    if state in LATCHED:
+        return _latched(status, reader)
     if state is State.READY and status.reserved:
         return StateMessage(status.reserved, "open the tab Calibrate", "calibrate")
     if state is State.HOMING:
         return _IDLE_MESSAGES[state.name]._replace(message=_homing(status) or _IDLE_MESSAGES[state.name].message)
     return _IDLE_MESSAGES[state.name]
+
+
+def is_silent(status: StationStatus) -> bool:
+    """Return whether telemetry is missing that the station should have; a FAULT reports its own cause."""
+    return status.age > STALE_AFTER_S and status.state not in (State.OFF, State.FAULT)
+
+
+def _latched(status: StationStatus, reader: Reader) -> StateMessage:
+    """Return the message of HOLD, STOPPED and FAULT: the cause, what the robot does now, and who can reset."""
+    cause = status.cause or "unknown cause"
+    if reader.own_stop:
+        cause = cause.replace(reader.own_stop, "you pressed STOP")
+    text = f"{cause[0].upper()}{cause[1:]}"
+    if status.state in _CONSEQUENCES:
+        text = f"{text}. {_CONSEQUENCES[status.state]}"
+    if reader.resets:
+        return StateMessage(text, "press Reset" if reader.simulated else "check the rig, then press Reset", "reset")
+    who = "an operator" if reader.operator is None else f"'{reader.operator}'"
+    return StateMessage(text, f"{who} can reset the station{'' if reader.views_only else ', or take over'}", "reset")
 
 
 def _homing(status: StationStatus) -> str:
@@ -84,7 +113,12 @@ def _homing(status: StationStatus) -> str:
 
 
 def status_out(
-    service: StationService, of: Commands, who: Sender, side_load: SideLoad | None, gateway_problem: str | None = None
+    service: StationService,
+    of: Commands,
+    who: Sender,
+    side_load: SideLoad | None,
+    gateway_problem: str | None = None,
+    own_stop: str = "",
 ) -> StatusOut:
     """Return the station's status.
 
@@ -94,6 +128,7 @@ def status_out(
         who: client that requests the status.
         side_load: load that acts on the shaft instead of the tip; None: there is no such load.
         gateway_problem: why the gateway has ended, empty while the gateway runs; None: the station has no gateway.
+        own_stop: cause that the station reports for the newest STOP, if this client sent it; otherwise empty.
     """
     supervisor = service.supervisor
     status = supervisor.status()
@@ -104,7 +139,7 @@ def status_out(
         return tuple(status.values[group].tolist()) if known else None
 
     warnings = (*status.warnings, *(() if side_load is None else (side_load.warning,)))
-    names, text = supervisor.robot.joint_names, state_message(status)
+    names, text = supervisor.robot.joint_names, state_message(status, _reader(service, of, who, own_stop))
     run = None
     if status.run is not None:
         run = RunOut(
@@ -115,6 +150,7 @@ def status_out(
         format=FORMAT,
         state=status.state.name,
         cause=status.cause,
+        details=load() if is_silent(status) else status.details,
         phase=status.phase.name.lower(),
         message=text.message,
         next=text.next,
@@ -141,6 +177,18 @@ def status_out(
         direction_true=vector("direction_true"),
         force=vector("force"),
         contact=None if side_load is None else contact_out(side_load),
+    )
+
+
+def _reader(service: StationService, of: Commands, who: Sender, own_stop: str) -> Reader:
+    """Return who reads the status."""
+    holder, may = of.lease.holder(), who.role is Role.OPERATOR
+    return Reader(
+        resets=may and (holder is None or holder.client == who.client),
+        operator=None if holder is None else holder.name,
+        views_only=not may,
+        own_stop=own_stop,
+        simulated=service.supervisor.simulated,
     )
 
 

@@ -7,6 +7,7 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
+from types import MappingProxyType
 from typing import Annotated, Any, Protocol
 
 import httpx
@@ -65,6 +66,17 @@ class WrenchQuality(IntFlag):
         return not self & ~(WrenchQuality.LATCHED | WrenchQuality.GAP)
 
 
+#: What has happened to a sensor whose reading has a fault, the most specific fault first.
+HAPPENED = MappingProxyType(
+    {
+        WrenchQuality.GONE: "is not connected",
+        WrenchQuality.RESET: "has restarted, so its zero is unknown",
+        WrenchQuality.SATURATED: "is saturated: take the load off",
+        WrenchQuality.STATUS: "reports a fault",
+        WrenchQuality.RANGE: "measures more than its calibration allows: take the load off",
+        WrenchQuality.STALE: "was silent for too long",
+    }
+)
 #: Silence after which the driver requests the stream again [s].
 RETRY_AFTER_S = 0.5
 
@@ -277,7 +289,7 @@ class NetftSensors:
     def complaint(self) -> str:
         """Return the faults as human-readable text; "" if there is none."""
         return "; ".join(
-            f"force sensor {number} ({sensor.link.name}): "
+            f"force sensor {number} on {sensor.link.name}: "
             + ", ".join(str(flag.name).lower() for flag in WrenchQuality if flag in quality)
             + (
                 f", nothing usable for {1e3 * self._settings.stale_after:.0f} ms"
@@ -303,7 +315,14 @@ class NetftSensors:
 
     def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a HOLD with the box's status if a sensor has no valid sample."""
-        return None if self.is_usable else DeviceFault(Severity.HOLD, self.complaint())
+        if self.is_usable:
+            return None
+        found = [
+            f"force sensor {number} {next(text for flag, text in HAPPENED.items() if flag in quality)}"
+            for number, quality in enumerate(self.quality, 1)
+            if not quality.is_usable
+        ]
+        return DeviceFault(Severity.HOLD, "; ".join(found), self.complaint())
 
     def details(self) -> Mapping[str, Any]:
         """Return identities and counters of the sensors."""

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from enum import IntFlag
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -128,6 +129,16 @@ class CardQuality(IntFlag):
     GONE = 4  #: the card is lost
 
 
+#: What has happened to a sensor whose reading has a fault, the most specific fault first.
+HAPPENED = MappingProxyType(
+    {
+        CardQuality.GONE: "is not connected: its card is lost",
+        CardQuality.SATURATED: "is saturated: take the load off",
+        CardQuality.STALE: "was silent for too long",
+    }
+)
+
+
 class CardClock:
     """Host time of a card's samples, from their numbers and the least delayed read, because no read is early."""
 
@@ -217,13 +228,23 @@ class CardSensors:
 
     def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a HOLD with the reason if a sensor has no valid sample."""
-        texts = [
-            f"force sensor {number} ({self._cards[wiring.card].name}): "
-            + (self._lost[wiring.card] or ", ".join(str(flag.name).lower() for flag in CardQuality if flag & flags))
+        faulty = [
+            (number, self._cards[wiring.card].name, flags, self._lost[wiring.card])
             for number, (wiring, flags) in enumerate(zip(self._wirings, self._flags, strict=True), 1)
             if flags
         ]
-        return DeviceFault(Severity.HOLD, "; ".join(texts)) if texts else None
+        if not faulty:
+            return None
+        texts = [
+            f"force sensor {number} {next(text for flag, text in HAPPENED.items() if flag & flags)}"
+            for number, _, flags, _ in faulty
+        ]
+        details = [
+            f"force sensor {number} on {card}: "
+            + (lost or ", ".join(str(flag.name).lower() for flag in CardQuality if flag & flags))
+            for number, card, flags, lost in faulty
+        ]
+        return DeviceFault(Severity.HOLD, "; ".join(texts), "; ".join(details))
 
     def details(self) -> Mapping[str, Any]:
         """Return identities and counters of the sensors."""

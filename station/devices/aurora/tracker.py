@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,23 @@ BLIND_TIMEOUT_S = 0.25
 
 #: Pose of the field generator in the world: p_world = rotation @ p_tracker + position.
 TrackerMounting = RigidTransform
+
+
+#: What has happened when the newest frame has each quality; a time may follow.
+HAPPENED = MappingProxyType(
+    {
+        # The newest frame is good but old: the unit or this computer was delayed.
+        FrameQuality.GOOD: "the tracker's positions are late: there was no new one",
+        FrameQuality.MISSING: "the tracker lost the coil",
+        FrameQuality.OUT_OF_VOLUME: "the coil was outside the tracker's volume",
+        FrameQuality.DISABLED: "the tracker's coil was disabled or unplugged",
+        FrameQuality.JUMP: "the tracker's positions jumped, and no valid one arrived",
+        FrameQuality.FAULT: "the tracker reported a fault of the coil or of itself",
+        FrameQuality.SILENT: "the tracker was silent",
+        FrameQuality.CONNECTING: "the tracker is still starting",
+        FrameQuality.LOST: "the connection to the tracker is lost, and there was no position",
+    }
+)
 
 
 class TrackerReport(NamedTuple):
@@ -75,12 +93,11 @@ class AuroraTracker:
             return self._target_trouble(now)
         report = self.report(now)
         severity = Severity.HOLD if self._lost or report.good_age > BLIND_TIMEOUT_S else Severity.WARN
-        # The newest frame is good but old: the unit or this computer was delayed.
-        what = "late" if report.quality is FrameQuality.GOOD else report.quality.name.lower().replace("_", " ")
-        since = "" if math.isinf(report.good_age) else f"; no good position for {report.good_age:.2f} s"
-        return DeviceFault(
-            severity, f"tracker ({self._link.name}): {what}{since}{report.trouble and '; '}{report.trouble}"
-        )
+        text = HAPPENED[report.quality] + ("" if math.isinf(report.good_age) else f" for {report.good_age:.2f} s")
+        if report.trouble and report.quality is FrameQuality.CONNECTING:
+            text = f"the tracker cannot start: {report.trouble}"
+        details = f"tracker on {self._link.name}: {report.quality.name.lower().replace('_', ' ')}"
+        return DeviceFault(severity, text, f"{details}{report.trouble and ', '}{report.trouble}")
 
     def _target_trouble(self, now: float) -> DeviceFault | None:
         """Return a warning if a target is configured and has no good position."""
@@ -93,7 +110,8 @@ class AuroraTracker:
                 f"not plugged in; connected tools: {', '.join(t.serial for t in self._session.dialogue.tools.values())}"
             )
         since = "" if math.isinf(age) else f"; no good position for {age:.2f} s"
-        return DeviceFault(Severity.WARN, f"tracker ({self._link.name}): target {serial}: {what}{since}")
+        text = f"the tracker does not measure the target {serial}: {what}{since}"
+        return DeviceFault(Severity.WARN, text, f"tracker on {self._link.name}")
 
     def details(self) -> Mapping[str, Any]:
         """Return identity and counters of the tracker."""

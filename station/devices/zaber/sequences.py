@@ -56,9 +56,13 @@ class Units:
         return chain.axes[axis].alias or 0
 
     def name(self, i: int) -> str:
-        """Return the name of a stage's joint, with its device number and its port, for messages."""
+        """Return the name of a stage, for messages."""
+        return f"the stage {self.setups[i].joint.name}"
+
+    def address(self, i: int) -> str:
+        """Return the name of a stage's joint with its device number and its port, for the details of messages."""
         link = next(port.link for port in self.ports if i in port.stages)
-        return f"{self.setups[i].joint.name} (device {self.setups[i].device} on {link.name})"
+        return f"{self.setups[i].joint.name}: device {self.setups[i].device} on {link.name}"
 
     def reach(self, i: int) -> str:
         """Return how far a stage that no longer receives commands can still move, as text."""

@@ -6,6 +6,7 @@ Connecting and homing are sequences of requests, which `poll` advances. Events o
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -54,6 +55,7 @@ class ZaberStages:
         self.identities = self._units.identities  #: identity that each unit has reported; None before it has
         self.condition = Condition.CLOSED
         self.problem = ""  #: why the condition is FAULT
+        self._details = ""  # address and raw error that belong to `problem`
         self.complaints: list[str] = []  #: the last ten errors that units reported without a request
         self._line = line or LineSettings()
         self._scale = [SPEED_UNIT * setup.step for setup in setups]
@@ -141,16 +143,22 @@ class ZaberStages:
                 for port in self.ports:
                     reopen(port.link)
             except LinkError as error:
-                self.condition, self.problem = Condition.FAULT, str(error)
+                self.condition, self.problem = Condition.FAULT, "the stages' port cannot be opened again"
+                self._details = str(error)
                 return
         if ports is not None or self.condition is not Condition.CLOSED:
             self._use(ports or self.ports)
-        self._sequences.now, self.condition, self.problem = now, Condition.CONNECTING, ""
+        self._sequences.now, self.condition = now, Condition.CONNECTING
+        self.problem = self._details = ""
         self._start_script(self._sequences.connect())
 
     def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a FAULT with its cause; `details` contains unsolicited errors of the units."""
-        return DeviceFault(Severity.FAULT, self.problem) if self.condition is Condition.FAULT else None
+        if self.condition is not Condition.FAULT:
+            return None
+        units = self._units
+        named = [units.address(i) for i in range(len(units.setups)) if re.search(rf"{units.name(i)}\b", self.problem)]
+        return DeviceFault(Severity.FAULT, self.problem, "; ".join(filter(None, (*named, self._details))))
 
     def details(self) -> Mapping[str, Any]:
         """Return identity, port and message counters of the units, and the progress of homing."""
@@ -272,7 +280,7 @@ class ZaberStages:
             return
         i = self.ports[which].stages[event.axis]
         if isinstance(event, ReplyLost):
-            self._lose((i,), f"{MAX_MISSES} replies are missing")
+            self._lose((i,), f"{MAX_MISSES} replies of a unit are missing")
         elif isinstance(event, UnexpectedMotion):
             self._end_script()
             self.homed[i] = False
@@ -289,9 +297,10 @@ class ZaberStages:
         """Handle lost stages: stop all others, and report how far each lost stage can still move."""
         self._end_script()
         self._units.home_again |= set(stages)
-        texts = [f"{self._units.name(i)} cannot be reached ({why}); {self._units.reach(i)}" for i in stages]
+        texts = [f"{self._units.name(i)} cannot be reached; {self._units.reach(i)}" for i in stages]
         for i in stages:
             self.homed[i] = False
+        self._details = "; ".join(dict.fromkeys(filter(None, (self._details, why))))
         if self.condition is Condition.FAULT:
             self.problem = "; ".join([self.problem, *texts])
         self._fail("; ".join(texts))

@@ -26,7 +26,7 @@ def test_stages_stop_after_a_kill_of_the_control_process_and_a_reset_starts_anot
     assert kill(mortal, watched_lab, "control", 0.3) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now)
     assert status["cause"].startswith("the control process ended by signal 9; ")
-    status = until(lambda: (now := mortal.ask("status"))["cause"].endswith("reset to restart it") and now)
+    status = until(lambda: "being stopped" not in (now := mortal.ask("status"))["cause"] and now)
     assert "the control process ended by signal 9; 3 stages on" in status["cause"]
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)
@@ -44,6 +44,6 @@ def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
     mortal.child("control").send_signal(signal.SIGSTOP)
     assert watched_lab.stop_delay(begin) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now["cause"] and now)
-    assert "the control loop has not ticked for 1 s" in status["cause"]
+    assert status["cause"].startswith("this computer was too busy: the control loop was silent for 1.")
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)

@@ -25,7 +25,7 @@ CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "dur
 
 def stop_and_reset(station: Served) -> dict[str, Any]:
     """Send a STOP and a reset, check that the station accepts both, and return its status when it is READY again."""
-    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": ""}
+    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": "", "confirmed": True}
     assert station.post("/api/reset").status_code == 200
     return station.wait_for(lambda status: status["state"] == "READY")
 
@@ -50,7 +50,7 @@ def test_stop_and_reset_void_a_motion_that_is_being_checked(station: Served, pat
     # On a very slow computer the motion may have started before the STOP. The STOP has ended it then.
     if answer.status != 202:
         assert answer.status == 409, answer
-        assert "is void: the station was stopped by the operator" in answer.body["error"]
+        assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.body["error"]
         assert "send the request again" in answer.body["error"]
 
 
@@ -110,7 +110,7 @@ def test_stop_and_reset_void_a_start_that_waits_for_the_recorder(station: Served
             before = stop_and_reset(station)
         answer = client.answer()
     assert answer.status == 409, answer
-    assert "is void: the station was stopped by the operator" in answer.body["error"]
+    assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.body["error"]
     rests(station, before)
 
 
@@ -123,7 +123,7 @@ def test_stop_and_reset_void_a_setpoint_session_that_waits_for_the_recorder(stat
             assert socket.ping().wait()  # the server has read the message
             before = stop_and_reset(station)
         answer = json.loads(socket.recv())
-    assert "is void: the station was stopped by the operator" in answer.get("error", ""), answer
+    assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.get("error", ""), answer
     rests(station, before)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from station.client import RunFailed, Station, StationError, StationRefused
+from station.client import NotOperator, RunFailed, Station, StationError, StationRefused
 from tests.harness.serving import Served, free_port
 
 CIRCLE = {"kind": "circle", "radius": 0.004, "period": 4.0}
@@ -47,8 +47,12 @@ def test_client_error_has_the_stations_reason_for_a_refusal(station: Station, ru
     with pytest.raises(StationError, match="cannot be written"):
         station.download(station.runs()[0]["id"], tmp_path / "no" / "folder")
     station.become_operator()  # the refused requests have not made the client the operator
-    with Station(running.url, name="another") as another, pytest.raises(StationRefused, match="Zoë's script"):
+    with Station(running.url, name="another") as another, pytest.raises(NotOperator) as refusal:
         another.tare()
+    assert str(refusal.value).startswith(
+        "'Zoë's script' is operator, so this script may not send commands: press Release"
+    )
+    assert "become_operator(take_over=True)" in str(refusal.value)
 
 
 def test_client_goto_moves_named_joints_and_without_joints_to_the_working_pose(station: Station) -> None:
@@ -64,6 +68,11 @@ def test_client_goto_moves_named_joints_and_without_joints_to_the_working_pose(s
         station.goto({"elbow": 0.2})
     station.goto()
     assert station.status()["joints"]["inner_rotation"] == pytest.approx(1.5708, abs=0.002)
+
+
+def test_client_error_has_the_bound_for_a_telemetry_rate_outside_its_range(station: Station) -> None:
+    with pytest.raises(StationRefused, match=r"rate: 200 .*100"):
+        next(station.telemetry(200.0))
 
 
 def test_client_receives_telemetry_at_the_requested_rate(station: Station) -> None:

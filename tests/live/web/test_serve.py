@@ -79,7 +79,11 @@ def test_stop_and_ctrl_c_do_not_wait_for_requests_that_are_kept_open() -> None:
             half.sendall(
                 (f"{head}type: application/json\r\ncontent-length: 100\r\n\r\n{{" if number % 2 else head).encode()
             )
-        assert httpx.post(stop, json={}, timeout=NET, trust_env=False).json() == {"state": "STOPPED", "note": ""}
+        assert httpx.post(stop, json={}, timeout=NET, trust_env=False).json() == {
+            "state": "STOPPED",
+            "note": "",
+            "confirmed": True,
+        }
         station.process.send_signal(signal.SIGINT)
         with suppress(httpx.TransportError):  # this error occurs when the station has ended
             while "did not answer" not in httpx.post(stop, json={}, timeout=NET, trust_env=False).json()["note"]:

@@ -4,7 +4,7 @@
 """
 
 import pytest
-from starlette.testclient import TestClient
+from starlette.testclient import TestClient, WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
 FOREIGN = [
@@ -34,9 +34,9 @@ def test_a_cross_site_websocket_is_refused(app: TestClient, path: str, headers: 
 
 
 @pytest.mark.parametrize("path", ["/api/telemetry?rate=200", "/api/telemetry?rate=fast"])
-def test_a_websocket_with_an_invalid_parameter_is_refused_without_an_exception(app: TestClient, path: str) -> None:
+def test_a_websocket_with_an_invalid_parameter_is_refused_with_its_name_and_value(app: TestClient, path: str) -> None:
     headers = {"host": app.base_url.netloc.decode()}
-    with pytest.raises(WebSocketDisconnect) as refused, app.websocket_connect(path, headers=headers):
+    with pytest.raises(WebSocketDenialResponse) as refused, app.websocket_connect(path, headers=headers):
         pass
-    assert refused.value.code == 1008
-    assert "rate" in refused.value.reason
+    assert refused.value.status_code == 422
+    assert refused.value.json()["error"].startswith("rate: ")

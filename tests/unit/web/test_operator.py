@@ -61,7 +61,8 @@ def test_stop_is_accepted_from_any_client(people) -> None:
     anna.post("/api/operator")
     stopped = ben.post("/api/stop")
     assert stopped.status_code == 202
-    assert stopped.json() == {"state": "OFF", "note": "there is no control process and nothing moves"}
+    note = "there is no control process and nothing moves"
+    assert stopped.json() == {"state": "OFF", "note": note, "confirmed": True}
     assert anna.get("/api/operator").json()["you"]
 
 

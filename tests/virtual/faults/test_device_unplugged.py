@@ -13,15 +13,15 @@ from tests.harness.virtual_station import VirtualStation
 
 
 @pytest.mark.parametrize(
-    ("device", "state", "named"),
+    ("device", "state", "happened", "address"),
     [
-        ("stages", State.FAULT, "zaber is gone"),
-        ("tracker", State.HOLD, "tracker (aurora): lost"),
-        ("inner", State.HOLD, "force sensor 1 (netft 1)"),
+        ("stages", State.FAULT, "the stage inner_translation cannot be reached", "zaber is gone"),
+        ("tracker", State.HOLD, "the connection to the tracker is lost", "aurora is gone"),
+        ("inner", State.HOLD, "force sensor 1 is not connected", "netft 1"),
     ],
 )
 def test_unplugged_device_ends_the_motion_and_its_return_does_not_resume_it(
-    virtual: VirtualStation, device: str, state: State, named: str
+    virtual: VirtualStation, device: str, state: State, happened: str, address: str
 ) -> None:
     virtual.moving()
     virtual.fail("disconnect", device)
@@ -29,7 +29,9 @@ def test_unplugged_device_ends_the_motion_and_its_return_does_not_resume_it(
     virtual.seconds(0.5)
 
     assert took <= 0.25
-    assert named in virtual.loop.cause
+    assert happened in virtual.loop.cause
+    assert address not in virtual.loop.cause
+    assert address in virtual.loop.cause_details
     if device != "stages":
         assert virtual.rests()
     virtual.mend()

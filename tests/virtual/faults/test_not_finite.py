@@ -32,7 +32,7 @@ class Spoilt:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(
-    ("device", "named"), [("stages", "stages: "), ("tracker", "tracker: "), ("sensors", "force sensors: ")]
+    ("device", "named"), [("stages", "the stages "), ("tracker", "the tracker "), ("sensors", "the force sensors ")]
 )
 def test_reading_that_is_not_finite_stops_every_axis_and_no_velocity_is_sent(
     virtual: VirtualStation, device: str, named: str, bad: float
@@ -46,8 +46,8 @@ def test_reading_that_is_not_finite_stops_every_axis_and_no_velocity_is_sent(
     took = virtual.becomes(State.HOLD)
 
     assert took <= (0.025 if device == "tracker" else 0.0) + 2 * PERIOD_S
-    assert named in virtual.loop.cause
-    assert str(bad).removeprefix("-") in virtual.loop.cause
+    assert virtual.loop.cause.startswith(f"{named}reported ")
+    assert str(bad).removeprefix("-") in virtual.loop.cause_details
     assert "\n" not in virtual.loop.cause
     virtual.seconds(0.4)
     since = virtual.rows[begin + round(took / PERIOD_S) :]

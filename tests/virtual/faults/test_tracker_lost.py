@@ -43,7 +43,7 @@ def test_motion_ends_in_hold_after_a_quarter_of_a_second_without_the_tracker_coi
 
     # The 0.25 s count from the measurement of the last valid position, which arrives one latency later.
     assert 0.2 <= took <= 0.25 + 2 * PERIOD_S
-    assert "tracker (aurora): missing; no good position for 0.25 s" in virtual.loop.cause
+    assert virtual.loop.cause == "the tracker lost the coil for 0.25 s"
     virtual.seconds(0.4)
     assert virtual.rests()
     virtual.mend()
@@ -106,4 +106,4 @@ def test_failed_tracker_causes_hold_within_a_quarter_of_a_second(virtual: Virtua
     took = virtual.becomes(State.HOLD)
 
     assert took <= 0.25 + 2 * PERIOD_S
-    assert virtual.loop.cause.startswith("tracker (aurora): ")
+    assert virtual.loop.cause.startswith("the ")

@@ -165,24 +165,25 @@ setInterval(showSilence, 100);
 
 // ---- the state and its message; a latched state has a bar of its own, so that its message is shown completely
 
-const meaning = make("details", {}, make("summary", {}, "What does this mean?"), make("p"));
+const meaning = make("details", {}, make("summary", {}, "What does this mean?"), make("p"), make("p", { className: "dim" }));
 $("latched").append(meaning);
 
-function showLatched(state) {
+function showLatched(state, details) {
   const latched = state in LATCHED;
   document.body.classList.toggle("latched", latched);
   $("latched").hidden = !latched;
   $("latched").dataset.state = state;
   const box = $(latched ? "latched" : "state-box");
   if ($("message").parentElement !== box) box.insertBefore($("message"), latched ? meaning : null);
-  if (latched) setText(meaning.lastChild, LATCHED[state]);
+  if (latched) setText(meaning.children[1], LATCHED[state]);
+  setText(meaning.lastChild, details); // address, device and raw values, which the message omits
 }
 
 onStatus((status, stale) => {
   const state = status === null ? "NO ANSWER" : status.state;
   setText($("state"), state);
   $("state").dataset.state = state;
-  showLatched(state);
+  showLatched(state, status?.details ?? "");
   if (status === null) {
     setText($("says"), "");
     setText($("next"), "");

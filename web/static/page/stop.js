@@ -17,11 +17,11 @@ async function send(attempt) {
   attempt.tries += 1;
   abortPolls();
   try {
-    const { note: answer } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
+    const { confirmed, note: answer } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
     const late = attempt.tries === 1 ? "" : `acknowledged after ${seconds(attempt)} s and ${attempt.tries} tries`;
     const text = [late, answer].filter((part) => part !== "").join("; ");
-    if (text !== "") note(`STOP was accepted: ${text}`, true); // a success is never shown as an alarm
-    finish(attempt, "");
+    if (confirmed && text !== "") note(`STOP was accepted: ${text}`, true); // a success is never shown as an alarm
+    finish(attempt, confirmed ? "" : `STOP is not confirmed: ${text}. Use the emergency stop of the rig if anything moves.`);
   } catch (error) {
     if (error instanceof Refused && error.status < 500) finish(attempt, `STOP was refused: ${error.message}. Use the emergency stop of the rig.`);
     else reportUnacknowledged(attempt);

@@ -124,7 +124,7 @@ def test_device_that_returns_as_another_terminal_is_connected_again(paper, tmp_p
             for device in lost:  # the devices are still unplugged
                 device.connect(time.monotonic())
                 assert device.condition is Condition.FAULT
-                assert "cannot be opened" in device.trouble(time.monotonic()).text
+                assert "cannot be opened" in str(device.trouble(time.monotonic()))
             lab.lab.inject((), 0.0)
             time.sleep(0.05)
             assert len(come_up(devices)) == 20, [device.trouble(time.monotonic()) for device in lost]

@@ -10,6 +10,7 @@ import pytest
 from station.control.states import State
 from station.lab.config import LabConfig
 from station.lab.lab_server import LabServer, devices_at
+from station.service.fallback_stop import NO_STAGES
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
 from tests.harness.running_lab import running
@@ -38,6 +39,6 @@ def test_station_with_real_devices_waits_for_home(paper, tmp_path: Path):
             while supervisor.status().state is State.CONNECTED and time.monotonic() < give_up:
                 time.sleep(0.01)
             assert supervisor.status().state is State.HOMING
-            assert supervisor.stop() == ""
+            assert supervisor.stop() == NO_STAGES
         finally:
             supervisor.close()

@@ -107,8 +107,9 @@ def test_hung_processes_are_killed_and_replaced_and_the_stages_are_stopped(
     monkeypatch.setattr(processes, "_tick_timeout", 3600.0)  # the watchdog must not kill the process first
     before = processes.pids()
     os.kill(before["control"], signal.SIGSTOP)
-    warning = processes.control.stop()
-    assert warning.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
+    outcome = processes.control.stop()
+    assert outcome.confirmed
+    assert outcome.text.startswith("the control process did not answer 'stop' within 1 s and was ended; 3 stages on ")
     assert until(started.stopped)[0].text.startswith("3 stages on ")
 
     os.kill(before["lab"], signal.SIGSTOP)

@@ -107,7 +107,7 @@ def test_a_calibration_has_exclusive_use_of_the_robot_until_stop_ends_it(station
     assert station.post("/api/stop").status_code == 200
     station.wait_for(lambda _: not course(station)["on"])
     assert course(station)["stage"] == "aborted"
-    assert "stopped by the operator" in course(station)["message"]
+    assert "stopped by 'script at 127.0.0.1'" in course(station)["message"]
     assert len(station.rest.get("/api/calibration/results").json()) == 1
 
 

@@ -116,7 +116,7 @@ def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
 
 def test_stop_is_always_accepted_and_latches_until_reset(station: Served) -> None:
     assert station.post("/api/stop").status_code == 200
-    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": ""}
+    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": "", "confirmed": True}
     refused = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0})
     assert refused.status_code == 409
     assert "STOPPED" in refused.json()["error"]

@@ -66,7 +66,9 @@ def test_later_cause_of_a_stop_is_added_once() -> None:
 
 
 def test_longer_text_replaces_the_cause_that_it_starts_with() -> None:
-    causes = StopReasons(("the tracker is silent", "axis 1 is lost")).extend("axis 1 is lost; axis 2 is lost")
+    before = StopReasons().add("the tracker is silent", "port a").add("axis 1 is lost", "port b")
+    causes = before.extend("axis 1 is lost; axis 2 is lost", "port b; port c")
 
     assert str(causes) == "the tracker is silent; then axis 1 is lost; axis 2 is lost"
+    assert causes.details == "port a; then port b; port c"
     assert causes.extend("something else") == causes

@@ -56,7 +56,7 @@ def test_custom_tracker_is_found_and_tracks(install, paper):
             assert tracker.trouble(2.0).severity is Severity.HOLD
             visitor.close()
             assert _wait(lambda: tracker.poll(3.0) is None and tracker.condition is Condition.FAULT)
-            assert "is gone" in tracker.trouble(3.0).text
+            assert "is gone" in str(tracker.trouble(3.0))
 
             tracker.connect(4.0)
             visitor, _ = server.accept()

@@ -70,14 +70,15 @@ def host(paper: RobotFile, write, monkeypatch: pytest.MonkeyPatch, reports: list
 
 
 def test_stop_does_not_wait_for_an_answer_of_an_ended_control_process(host: ControlHost) -> None:
-    warnings: list[str] = []
-    pressed = threading.Thread(target=lambda: warnings.append(host.stop()))
+    outcomes: list[StopOutcome] = []
+    pressed = threading.Thread(target=lambda: outcomes.append(host.stop()))
     pressed.start()
     assert Played.far.recv().cause == "stopped by the operator"
     Played.far.close()  # the process ends without an answer to the command
     pressed.join()
 
-    assert warnings[0].startswith("the stages on /dev/ttyUSB0 cannot be commanded to stop")
+    assert not outcomes[0].confirmed
+    assert outcomes[0].text.startswith("the stages on /dev/ttyUSB0 cannot be commanded to stop")
 
 
 def test_exit_report_does_not_mention_stages_that_the_station_has_never_driven(
@@ -87,7 +88,7 @@ def test_exit_report_does_not_mention_stages_that_the_station_has_never_driven(
     host._ring.counters[DRIVEN] = 0
     Played.far.close()
     assert until(lambda: reports) == [ExitReport("the control process ended by signal 9", "")]
-    assert host.stop() == "there is no control process and nothing moves"
+    assert host.stop() == StopOutcome(True, "there is no control process and nothing moves")
     assert host.close() == NO_STAGES
 
 

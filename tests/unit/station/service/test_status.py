@@ -73,7 +73,7 @@ def test_state_is_fault_after_the_end_of_the_control_process_despite_the_ring(wa
     status = watched.monitor.snapshot(None, False, "", ())
     assert status.state is State.FAULT
     assert status.cause.split("; ") == [
-        "the control process ended by signal 9", "3 stages say that they have stopped", "reset to restart it",
+        "the control process ended by signal 9", "3 stages say that they have stopped",
     ]  # fmt: skip
     assert watched.monitor.entered[State.FAULT] == 1
 
@@ -82,7 +82,7 @@ def test_fault_reported_before_the_end_of_the_control_process_is_the_cause(watch
     watched.report(State.FAULT, "the stages at /dev/x do not answer")
 
     assert watched.monitor.fault("the control process ended with status 0", "") == (
-        "the stages at /dev/x do not answer; reset to restart it"
+        "the stages at /dev/x do not answer"
     )
     watched.monitor.forget()
     assert watched.monitor.state is State.OFF
@@ -116,7 +116,7 @@ def test_cause_of_a_hold_precedes_the_end_of_the_control_process(watched: Watche
     watched.monitor.fault("the control process ended by signal 9", "the stages are being stopped")
     watched.monitor.set_stop_outcome("3 stages stopped")
     assert watched.monitor.cause == (
-        "the tracker is silent; then the control process ended by signal 9; 3 stages stopped; reset to restart it"
+        "the tracker is silent; then the control process ended by signal 9; 3 stages stopped"
     )
 
 

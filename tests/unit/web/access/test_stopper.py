@@ -1,4 +1,4 @@
-"""The cause of a STOP names who pressed it: the operator, another client, or a viewer."""
+"""The cause of a STOP names who pressed it, with the address."""
 
 import pytest
 
@@ -19,9 +19,11 @@ def lease() -> Lease:
 @pytest.mark.parametrize(
     ("who", "words"),
     [
-        (ANNA, "the operator"),
-        (Sender(Role.OPERATOR, "ben-12345", "Ben", "127.0.0.1"), "'Ben', who is not the operator"),
-        (Sender(Role.VIEWER, "eve-12345", "Eve", "10.0.0.7"), "a viewer, 'Eve'"),
+        (ANNA, "'Anna' (127.0.0.1)"),
+        (ANNA._replace(name="renamed"), "'Anna' (127.0.0.1)"),
+        (Sender(Role.OPERATOR, "ben-12345", "Ben", "127.0.0.1"), "'Ben' (127.0.0.1)"),
+        (Sender(Role.OPERATOR, "zoe-12345", "script at 10.0.0.8", "10.0.0.8"), "'script at 10.0.0.8'"),
+        (Sender(Role.VIEWER, "eve-12345", "Eve", "10.0.0.7"), "viewer 'Eve' (10.0.0.7)"),
     ],
 )
 def test_the_cause_of_a_stop_names_who_pressed_it(lease: Lease, who: Sender, words: str) -> None:

@@ -11,7 +11,7 @@ from station.control.ring import Timing
 from station.control.states import State
 from station.devices.interfaces import Condition
 from station.service.status import StationStatus
-from web.api.status import state_message
+from web.api.status import Reader, state_message
 
 NO_TIMING = Timing(0, 0, {}, {}, "")
 
@@ -34,8 +34,38 @@ def test_every_phase_of_a_run_has_a_message(phase: Phase) -> None:
 @pytest.mark.parametrize("state", [State.HOLD, State.STOPPED, State.FAULT])
 def test_a_latched_state_shows_its_cause_and_reset_as_the_next_action(state: State) -> None:
     shown = state_message(status(state, cause="the tracker is gone"))
-    assert shown.message == "the tracker is gone"
+    assert shown.message.startswith("The tracker is gone")
     assert "Reset" in shown.next
+
+
+def test_a_hold_states_that_the_robot_keeps_its_position() -> None:
+    cause = "the tracker lost the coil for 0.25 s"
+    assert state_message(status(State.HOLD, cause=cause)).message == (
+        "The tracker lost the coil for 0.25 s. The robot holds its position, motors on"
+    )
+
+
+def test_a_stop_is_reported_to_its_sender_as_own_stop_and_to_others_with_the_name() -> None:
+    stopped = status(State.STOPPED, cause="stopped by 'Anna' (10.0.0.7)")
+
+    own = state_message(stopped, Reader(own_stop="stopped by 'Anna' (10.0.0.7)"))
+    assert own.message == "You pressed STOP. Every axis is at rest"
+    assert state_message(stopped).message == "Stopped by 'Anna' (10.0.0.7). Every axis is at rest"
+
+
+@pytest.mark.parametrize("state", [State.HOLD, State.STOPPED, State.FAULT])
+@pytest.mark.parametrize(
+    ("reader", "step"),
+    [
+        (Reader(), "check the rig, then press Reset"),
+        (Reader(simulated=True), "press Reset"),
+        (Reader(resets=False, operator="Anna"), "'Anna' can reset the station, or take over"),
+        (Reader(resets=False, operator="Anna", views_only=True), "'Anna' can reset the station"),
+        (Reader(resets=False, views_only=True), "an operator can reset the station"),
+    ],
+)
+def test_next_step_of_a_latched_state_is_possible_for_its_reader(state: State, reader: Reader, step: str) -> None:
+    assert state_message(status(state, cause="the tracker is gone"), reader).next == step
 
 
 @pytest.mark.parametrize("state", [State.READY, State.RUNNING, State.HOMING])

@@ -39,6 +39,31 @@ def test_result_table_of_run_has_units_and_the_numbers_of_the_paper(call, write,
     assert str(Path("runs") / "own-seed0-") in done.out
 
 
+def test_run_of_one_case_with_another_value_runs_only_this_case_with_this_value(call, write, short, tmp_path):
+    path = str(write(short + TWO_CASES))
+    done = call("run", path, "--case", "two", "--set", "controller.feedforward=false", "--json", "--out", "out")
+
+    assert done.status == 0
+    assert list(json.loads(done.out)["cases"]) == ["two"]
+    (recording,) = (tmp_path / "out").glob("*/two.mcap")
+    assert read_case(recording).metadata["case"]["controller"]["feedforward"] is False
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--case", "three"), "--case three: the cases are one, two"),
+        (("--set", "controller.k1=1,2"), "--set KEY=A,B gives several values, but 'run' uses one"),
+        (("--set", "controller.k9=1"), "k9"),
+    ],
+)
+def test_run_refuses_an_unknown_case_key_or_several_values(call, write, short, options, said):
+    done = call("run", str(write(short + TWO_CASES)), *options)
+
+    assert done.status == 2
+    assert said in done.err
+
+
 FAST = """
 [load]
 kind = "trapezoid"

@@ -21,7 +21,7 @@ def test_stop_in_fault_keeps_the_cause_and_is_appended(virtual: VirtualStation) 
 
     assert virtual.loop.cause == f"{first}; then stopped by a viewer, 'Anna'"
     virtual.seconds(0.4)  # wait until the other axes miss their polls, too: they are also named
-    assert "outer_rotation (device" in virtual.loop.cause
+    assert "the stage outer_rotation cannot be reached" in virtual.loop.cause
     assert virtual.loop.cause.endswith("; then stopped by a viewer, 'Anna'")
     virtual.mend()
     virtual.seconds(0.5)

@@ -91,7 +91,7 @@ def test_target_lost_for_long_ends_the_run_with_the_cause(virtual: VirtualStatio
     virtual.fail("lose_target", "tracker")
 
     assert virtual.becomes(State.HOLD, 5.0) == pytest.approx(FOLLOW.patience, abs=0.1)
-    assert virtual.loop.cause.startswith("target: not measured for 2.0 s")
+    assert virtual.loop.cause.startswith("the target was not measured for 2.0 s")
     assert "bring it back into the tracker's volume" in virtual.loop.cause
     assert not virtual.of("target_followed")[-1]
     virtual.seconds(0.3)

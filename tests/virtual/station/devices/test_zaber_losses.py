@@ -29,7 +29,7 @@ class TestLosing:
 
         assert bench.moving == [False, False, True]
         problem = bench.stages.problem
-        assert "inner_translation (device 3 on line 0) cannot be reached" in problem
+        assert "the stage inner_translation cannot be reached" in problem
         assert "it can run on to -5.0 mm" in problem
         assert "outer_rotation" not in problem
         assert not bench.stages.ready
@@ -75,7 +75,7 @@ class TestLosing:
         bench.run(0.5, lambda now: [0.1, -0.1, 0.010])
 
         assert bench.stages.condition is Condition.FAULT
-        assert "inner_rotation (device 1 on line 1) cannot be reached" in bench.stages.problem
+        assert "the stage inner_rotation cannot be reached" in bench.stages.problem
         assert "it can run on to -360.0 deg" in bench.stages.problem
         assert bench.moving == [False, True, False]
         assert np.isfinite(bench.reading.positions).all()

@@ -144,7 +144,7 @@ def test_silent_sensor_does_not_delay_the_other_one(boxes):
     assert sensors.quality == (WrenchQuality.GOOD, WrenchQuality.STALE)
     assert reading.wrenches[:, 0] == pytest.approx([3.0, 1.0])
     assert reading.time == pytest.approx(0.220, abs=1e-4)
-    assert "force sensor 2 (outer): stale" in sensors.complaint()
+    assert "force sensor 2 on outer: stale" in sensors.complaint()
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,9 @@ def test_reading_without_new_samples_becomes_stale():
     assert not sensors.poll(0.08).usable
     trouble = sensors.trouble(0.08)
     assert trouble is not None
-    assert trouble == (Severity.HOLD, "force sensor 1 (Dev1): stale")
+    assert trouble == (
+        Severity.HOLD, "force sensor 1 was silent for too long", "force sensor 1 on Dev1: stale",
+    )  # fmt: skip
 
 
 def test_lost_card_is_reported_and_opened_again():
@@ -193,7 +195,10 @@ def test_lost_card_is_reported_and_opened_again():
     cards[0].broken = "Dev1: the device was unplugged"
     assert not sensors.poll(0.02).usable
     assert sensors.condition is Condition.FAULT
-    assert sensors.trouble(0.02) == (Severity.HOLD, "force sensor 1 (Dev1): Dev1: the device was unplugged")
+    assert sensors.trouble(0.02) == (
+        Severity.HOLD, "force sensor 1 is not connected: its card is lost",
+        "force sensor 1 on Dev1: Dev1: the device was unplugged",
+    )  # fmt: skip
     assert sensors.details()["1 (Dev1)"]["quality"] == ["gone"]
 
     sensors.connect(1.0)

@@ -96,7 +96,7 @@ class TestConnecting:
         bench.units[1].number = 7
         bench.connect()
         assert bench.stages.condition is Condition.FAULT
-        assert "inner_rotation (device 2 on line 0) does not answer" in bench.stages.problem
+        assert "the stage inner_rotation does not answer" in bench.stages.problem
 
     def test_unexpected_unit_is_refused(self, paper):
         bench = Bench(paper)

@@ -1,0 +1,40 @@
+"""Files of the page: its document with a preload of every module, and files that a browser checks before each use."""
+
+from os import PathLike, stat_result
+from pathlib import Path
+
+from fastapi.responses import HTMLResponse
+from starlette.responses import Response
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
+
+STATIC = Path(__file__).parent / "static"
+#: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
+CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
+#: A browser may keep a file, but has to ask whether it has changed. Without this header a browser uses old modules for
+#: hours after an update of the station.
+CHECK_BEFORE_USE = {"cache-control": "no-cache"}
+
+
+def page() -> HTMLResponse:
+    """Return the page's document with a preload of every module.
+
+    Modules import each other, so a browser would find the last ones only after several round trips. The document is
+    read at each request, so that a changed module needs no restart of the station.
+    """
+    modules = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.rglob("*.js"))
+    preloads = "".join(f'<link rel="modulepreload" href="/static/{module}">\n' for module in modules)
+    document = (STATIC / "index.html").read_text(encoding="utf-8").replace("</head>", f"{preloads}</head>", 1)
+    return HTMLResponse(document, headers={**CHECK_BEFORE_USE, "content-security-policy": CONTENT_POLICY})
+
+
+class CheckedFiles(StaticFiles):
+    """Static files that a browser checks before each use; an unchanged file is answered without its content."""
+
+    def file_response(
+        self, full_path: PathLike[str], stat_result: stat_result, scope: Scope, status_code: int = 200
+    ) -> Response:
+        """Return the file, or that it has not changed."""
+        response = super().file_response(full_path, stat_result, scope, status_code)
+        response.headers.update(CHECK_BEFORE_USE)
+        return response
