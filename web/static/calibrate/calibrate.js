@@ -1,5 +1,5 @@
 // Calibrate: guided procedures, their results, and a checklist for exchanged tubes.
-import { $, button, clock, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, Refused } from "../page/station.js";
+import { $, button, clock, confirm, dateTime, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { row } from "../page/form.js";
 import { card, head, isOpen, onTab } from "../page/tabs.js";
@@ -84,7 +84,7 @@ async function overview() {
   );
   try {
     const results = await request("GET", "/api/calibration/results", undefined, 5000);
-    stored.replaceChildren(...results.map((entry) => card(entry.title, [`${new Date(entry.made).toLocaleString()} · ${entry.simulated ? "simulated rig" : entry.bench}`, entry.findings[0] ?? ""], () => details(entry.name))));
+    stored.replaceChildren(...results.map((entry) => card(entry.title, [`${dateTime(new Date(entry.made))} · ${entry.simulated ? "simulated rig" : entry.bench}`, entry.findings[0] ?? ""], () => details(entry.name))));
     if (results.length === 0) stored.append(make("p", { className: "dim" }, "Nothing has been calibrated yet."));
   } catch (error) {
     if (error instanceof Refused) note(error.message);
@@ -141,7 +141,7 @@ async function details(name) {
   const copy = (text) => make("div", { className: "copied" }, make("code", {}, text), button("Copy", () =>
     navigator.clipboard.writeText(text).then(() => note("copied", true), () => note("the browser does not allow this page to copy; select the text"))));
   content.replaceChildren(
-    back(stored.title), make("p", { className: "small dim" }, `${new Date(stored.made).toLocaleString()} · ${stored.bench} · ${stored.visits} visits, ${clock(stored.robot_s)} of robot time · ${stored.name}`),
+    back(stored.title), make("p", { className: "small dim" }, `${dateTime(new Date(stored.made))} · ${stored.bench} · ${stored.visits} visits, ${clock(stored.robot_s)} of robot time · ${stored.name}`),
     ...stored.findings.map((sentence) => make("p", {}, sentence)),
     make("div", { className: "acts" }, make("a", { href: file("report.html"), target: "_blank", rel: "noopener" }, "Report with figures"),
       ...stored.files.filter((entry) => entry !== "report.html").map((entry) => make("a", { href: file(entry), download: "" }, entry))),

@@ -1,5 +1,5 @@
 // Faults: what is wrong and what to do, the log of commands, and fault injection in the virtual lab.
-import { $, button, make, mayCommand, note, onStatus, replaceChanged, request, sendCommand } from "../page/station.js";
+import { $, button, make, mayCommand, note, onStatus, replaceChanged, request, sendCommand, timeOfDay } from "../page/station.js";
 import { actionButton } from "../page/header.js";
 import { form, row, schemas, variants } from "../page/form.js";
 import { poll } from "../page/tabs.js";
@@ -67,4 +67,4 @@ onStatus((status, stale) => {
 
 poll("faults", "/api/log?count=60", 1000, (entries) => log.replaceChildren(
   make("tr", {}, ...["time", "who", "what", "outcome"].map((entry) => make("th", {}, entry))),
-  ...entries.map((entry) => make("tr", {}, make("td", { className: "time" }, new Date(entry.time).toLocaleTimeString()), make("td", { title: entry.where }, entry.who), make("td", { className: "any" }, entry.what), make("td", { className: "any" }, entry.outcome)))));
+  ...entries.map((entry) => make("tr", {}, make("td", { className: "time" }, timeOfDay(new Date(entry.time))), make("td", { title: entry.where }, entry.who), make("td", { className: "any" }, entry.what), make("td", { className: "any" }, entry.outcome)))));

@@ -1,5 +1,5 @@
 // The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
-import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, request, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S, STALE_AFTER_S } from "./station.js";
+import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, request, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S } from "./station.js";
 import { poseText } from "./form.js";
 import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
@@ -114,7 +114,7 @@ onStatus((status) => {
 
 function showRun(status) {
   const run = status.run, on = run !== null && status.state === "RUNNING";
-  $("run-title").textContent = run === null ? status.lab : on ? run.title : `last run: ${run.title}`;
+  $("run-title").textContent = run === null ? "" : on ? run.title : `last run: ${run.title}`;
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"
@@ -122,10 +122,11 @@ function showRun(status) {
   if (on) $("run-progress").value = run.progress;
 }
 
-function showLights(devices, stale) {
-  replaceChanged($("lights"), [devices, stale], () => Object.entries(devices).map(([key, device]) => {
-    const severity = stale ? -1 : device.condition === "connected" ? device.severity : Math.max(device.severity, 1);
-    const text = stale ? "no current data" : device.text || (severity === 0 ? "connected, nothing is wrong" : device.condition);
+function showLights(devices) {
+  const silent = isSilent();
+  replaceChanged($("lights"), [devices, silent], () => Object.entries(devices).map(([key, device]) => {
+    const severity = silent ? -1 : device.condition === "connected" ? device.severity : Math.max(device.severity, 1);
+    const text = silent ? "no current data" : device.text || (severity === 0 ? "connected, nothing is wrong" : device.condition);
     const dot = make("i", { className: "light", "data-severity": severity });
     const label = DEVICE_NAMES[key] ?? key;
     return make("li", { title: `${label}: ${text}` }, dot, label, make("span", { className: "unseen" }, `: ${text}`));
@@ -136,23 +137,23 @@ function showLights(devices, stale) {
 function showWarnings(status) {
   const count = status.warnings.length, contact = status.contact !== null;
   $("mind").hidden = count === 0;
-  $("mind").textContent = `▲ ${contact ? "load not at the tip" : count === 1 ? "1 warning" : `${count} warnings`}`;
+  replaceChanged($("mind"), [count, contact], () => [`▲ ${contact ? "" : count}`, make("span", {}, contact ? "load not at the tip" : count === 1 ? " warning" : " warnings")]);
   $("mind").title = status.warnings.join("\n");
 }
 $("mind").addEventListener("click", () => openTab("faults"));
 
-// ---- silence: a chip with the age of the data, and from one second on a banner
+// ---- silence: from one second on a chip with the age of the data, a banner, and no colour that looks alive
 
 const isSilent = () => dataAge() > SILENT_AFTER_S;
 let simulated = false; // whether the last status was one of simulated devices
 
 function showSilence() {
   const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = age > LOST_AFTER_S;
-  $("age").hidden = age < STALE_AFTER_S;
+  $("age").hidden = !isSilent();
   setText($("age"), text);
   if (document.body.classList.contains("silent") !== isSilent()) {
     document.body.classList.toggle("silent", isSilent());
-    if (latest() !== null) showAction(latest());
+    if (latest() !== null) showUsable(latest());
   }
   $("silence").hidden = !isSilent();
   $("silence").dataset.lost = lost;
@@ -162,6 +163,13 @@ function showSilence() {
     : `${text[0].toUpperCase()}${text.slice(1)}; trying again. Nothing on this page is live.`);
 }
 setInterval(showSilence, 100);
+
+/** Show what a silent station does not offer: the lights of its devices, and the buttons of the next action. */
+function showUsable(status) {
+  showAction(status);
+  showLights(status.devices);
+  $("reset").disabled = !mayCommand(status) || isSilent();
+}
 
 // ---- the state and its message; a latched state has a bar of its own, so that its message is shown completely
 
@@ -179,7 +187,7 @@ function showLatched(state, details) {
   setText(meaning.lastChild, details); // address, device and raw values, which the message omits
 }
 
-onStatus((status, stale) => {
+onStatus((status) => {
   const state = status === null ? "NO ANSWER" : status.state;
   setText($("state"), state);
   $("state").dataset.state = state;
@@ -197,11 +205,9 @@ onStatus((status, stale) => {
   setText($("says"), status.message);
   setText($("next"), status.next);
   if (!(state in LATCHED)) $("message").title = [status.message, status.next].filter((text) => text !== "").join(": ");
-  showAction(status);
   $("reset").hidden = !(state in LATCHED);
-  $("reset").disabled = !mayCommand(status);
+  showUsable(status);
   showRun(status);
-  showLights(status.devices, stale);
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
   setText($("loop"), `500 Hz, ${missed} missed`);

@@ -57,6 +57,12 @@ export function clock(seconds) {
   return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
 }
 
+const TIME = { hour: "2-digit", minute: "2-digit", second: "2-digit", hourCycle: "h23" };
+/** Format the time of day of a date, for example "17:05:09". */
+export const timeOfDay = (date) => date.toLocaleTimeString(undefined, TIME);
+/** Format a date with its time of day. */
+export const dateTime = (date) => date.toLocaleString(undefined, { year: "numeric", month: "short", day: "numeric", ...TIME });
+
 /** Return the value that this tab of the browser has stored as JSON under `key`; null without a readable one. */
 export function stored(key) {
   try { return JSON.parse(sessionStorage.getItem(key)); } catch { return null; }

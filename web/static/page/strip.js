@@ -1,5 +1,5 @@
 // Values that are always visible: error, force, deflection and time left; after a run, its result.
-import { $, button, clock, make, onStatus, request, setText, Refused } from "./station.js";
+import { $, button, clock, dataAge, make, onStatus, request, setText, Refused, SILENT_AFTER_S } from "./station.js";
 import { directionError, error, follows, latestSample } from "./telemetry.js";
 import { errorSummary, ended, SHAPES } from "../runs/result.js";
 
@@ -7,6 +7,7 @@ const REFRESH_INTERVAL_MS = 200; // ms
 const length = (vector, scale = 1) => (vector ? scale * Math.hypot(...vector) : null);
 const BEFORE = { approaching: "to start", settling: "at rest" };
 let status = null, stale = true;
+const isSilent = () => dataAge() > SILENT_AFTER_S;
 
 let truth = false; // whether the newest sample contained the true tip
 const reference = (sample) => {
@@ -15,7 +16,7 @@ const reference = (sample) => {
 };
 function timeLeft() {
   const run = status?.run;
-  if (stale || !run || status.state !== "RUNNING") return null;
+  if (isSilent() || !run || status.state !== "RUNNING") return null;
   return run.phase === "moving" ? clock(run.duration * (1 - run.progress)) : BEFORE[run.phase] ?? null;
 }
 
@@ -23,25 +24,27 @@ const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off t
 /** Return the error by the tracker as an addition to the true one, which only a virtual lab knows; empty without a motion. */
 const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker ${size.toFixed(2)}` : ""; };
 const fixed = (digits) => (value) => value.toFixed(digits);
-/** Name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
+/** Quantity with a colour on the page, name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
+  { quantity: "error", name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
-  { name: () => "force", unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
+  { quantity: "force", name: () => "force", unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
   { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "no current force measurement" },
   { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running" },
-].map((cell) => ({ ...cell, label: make("span", { className: "dim" }), shown: make("output") }));
+].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output") }));
 
 for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown));
 
+/** Show the values. Old ones turn grey at once and disappear after a second, so that a busy computer does not blank them. */
 function show() {
-  const sample = stale ? null : latestSample();
+  const sample = isSilent() ? null : latestSample(SILENT_AFTER_S), old = stale || latestSample() === null;
   for (const { name, unit, value, text, none, optional, element, label, shown } of CELLS) {
     const now = value(sample) ?? null;
     if (optional) element.hidden = now === null; // no direction is desired
     label.textContent = name(sample);
     setText(shown, now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`);
     shown.title = now === null ? none : "";
+    shown.classList.toggle("old", old);
   }
 }
 
@@ -69,7 +72,7 @@ async function reportEnd(run) {
 
 onStatus((now, old) => {
   status = now;
-  if (stale !== old) { stale = old; show(); } // stale values disappear at once
+  if (stale !== old) { stale = old; show(); }
   const run = now?.run;
   if (!run) return;
   if (now.state === "RUNNING") { reported = null; $("ended").hidden = true; }

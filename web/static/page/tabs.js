@@ -9,15 +9,15 @@ export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); 
 /** Return whether a tab is visible, which includes that the tab around it is open. */
 export const isOpen = (id) => $(id).closest("[hidden]") === null;
 
-/** Return the tab that was open before a reload, or the first tab. */
+/** Return the tab that was open last in this browser, or the first tab. */
 export function lastTab() {
-  const stored = sessionStorage.getItem("tab");
+  const stored = localStorage.getItem("tab");
   return names.includes(stored) ? stored : names[0];
 }
 
 /** Open a tab, and first the tab around it. */
 export function openTab(id) {
-  sessionStorage.setItem("tab", id);
+  localStorage.setItem("tab", id);
   const before = names.filter(isOpen);
   for (let panel = $(id); panel !== null; panel = panel.parentElement.closest("[role=tabpanel]")) choose(panel);
   for (const name of names) {

@@ -1,7 +1,7 @@
 // The live telemetry: one stream for the whole page, and its last minutes. Stale and invalid values are null.
-import { stored, stream } from "./station.js";
+import { stored, stream, STALE_AFTER_S } from "./station.js";
 
-const RATE_HZ = 20, STALE_AFTER_MS = 500; // requested samples [Hz]; age from which the newest sample is stale [ms]
+const RATE_HZ = 20; // requested samples [Hz]
 const KEY = "telemetry";
 /** Duration of the kept telemetry [s]. */
 export const HISTORY_S = 300;
@@ -9,8 +9,8 @@ export const HISTORY_S = 300;
 export const samples = stored(KEY) ?? [];
 let receivedAt = -Infinity;
 
-/** Return the newest telemetry sample; null if none was received for half a second. */
-export const latestSample = () => (performance.now() - receivedAt < STALE_AFTER_MS ? samples.at(-1) : null);
+/** Return the newest telemetry sample; null if it was received more than `age` [s] ago. */
+export const latestSample = (age = STALE_AFTER_S) => (performance.now() - receivedAt < 1000 * age ? samples.at(-1) : null);
 
 /** Return whether the run follows a moving target. */
 export const follows = (sample) => sample !== null && sample.phase === "moving" && sample.target_followed > 0;
