@@ -126,6 +126,19 @@ def test_notes_of_a_run_are_stored(client):
     assert ids(client, text="new coil") == [name]
     assert client.put(f"/api/runs/{name}/notes", json={"notes": "x" * 20_001}).status_code == 422
     assert client.put(f"/api/runs/{name}/notes", json={"note": "x"}).status_code == 422
+    tagged = client.put(f"/api/runs/{name}/notes", json={"tags": ["a", "b"], "starred": True}).json()
+    assert (tagged["tags"], tagged["starred"], tagged["notes"]) == (["a", "b"], True, "new coil")
+
+
+@pytest.mark.parametrize("format_", ["csv", "parquet", "mat"])
+def test_a_recording_is_exported_in_every_format(client, format_):
+    (name,) = ids(client, label="complete")
+    answer = client.get(f"/api/runs/{name}/export", params={"format": format_, "case": "regulation"})
+    assert answer.status_code == 200, answer.text
+    assert f'filename="{name}-regulation.{format_}"' in answer.headers["content-disposition"]
+    starts = {"csv": b"time", "parquet": b"PAR1", "mat": b"MATLAB 5.0"}
+    assert answer.content.startswith(starts[format_])
+    assert client.get(f"/api/runs/{name}/export", params={"format": "xls"}).status_code == 422
 
 
 def test_a_report_is_rendered_once_and_is_self_contained(client, runs):
@@ -165,6 +178,10 @@ def test_a_run_is_deleted_only_with_its_name_as_confirmation(client, runs):
     assert folder.exists()
     assert client.delete("/api/runs/old", params={"confirm": "old"}).json() == {"deleted": "old"}
     assert not folder.exists()
+    assert [run["id"] for run in client.get("/api/runs", params={"deleted": True}).json()] == ["old"]
+    assert client.post("/api/runs/old/restore", json={}).json()["id"] == "old"
+    assert folder.exists()
+    assert client.delete("/api/runs/old", params={"confirm": "old"}).status_code == 200
 
 
 @pytest.mark.parametrize("name", ["none", "..", "%2e%2e", "..%2f..%2fetc", "%2fetc%2fpasswd", "a%00b", "x" * 5000])

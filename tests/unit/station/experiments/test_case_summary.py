@@ -7,10 +7,17 @@ import pytest
 from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
-from station.experiments.case_summary import case_facts, describe_keys, load_windows, window_name
+from station.experiments.case_summary import case_facts, describe_keys, load_windows, motion_title, window_name
 from station.experiments.experiment import offered_experiment
 from station.lab.faults import LabFault
 from tests.harness.cases import a_case
+
+
+def test_title_of_a_free_motion_has_the_values_that_differ_from_their_defaults():
+    circle = CircleMotion(radius=0.005, period=6.0)
+    assert motion_title(circle, NoLoad()) == "circle, radius 5 mm, period 6 s"
+    pulled = motion_title(circle, HungWeightLoad(weight=0.2))
+    assert pulled == "circle, radius 5 mm, period 6 s; load hung weight, weight 0.2 N"
 
 
 @pytest.mark.parametrize(

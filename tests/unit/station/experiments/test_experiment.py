@@ -196,6 +196,15 @@ def test_an_edited_user_experiment_is_read_again(short, tmp_path, monkeypatch):
     (tmp_path / "own.toml").write_text(text.replace("first", "second"), encoding="utf-8")
     assert offered_experiment("own").title == "second"
     assert offered_experiment("fig7") is offered_experiment("fig7")
+    assert offered_experiment("fig7", check_motions=False) is not offered_experiment("fig7")
     # A user's experiment takes precedence over a preset, also after the preset was loaded.
     (tmp_path / "fig7.toml").write_text(text.replace("first", "mine"), encoding="utf-8")
     assert offered_experiment("fig7").title == "mine"
+
+
+def test_description_of_an_experiment_does_not_check_its_motions(short, write):
+    path = write(short.replace('kind = "hold"', 'kind = "circle"\nradius = 0.09\nperiod = 20.0'))
+    with pytest.raises(ConfigError, match="cannot be followed"):
+        load_experiment(str(path))
+    (case,) = load_experiment(str(path), check_motions=False).cases
+    assert case.file.trajectory.kind == "circle"

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from station.recording.history import MAX_NOTES_CHARS, RunError, RunHistory, resolve_run
+from station.recording.history import MAX_NOTES_CHARS, TRASH, TRASH_SPAN_S, RunError, RunHistory, resolve_run
 from station.recording.run_folder import RunFolder
 
 
@@ -94,6 +94,44 @@ def test_a_run_is_deleted_only_when_its_name_is_confirmed(history):
         history.delete("latest", "latest")
     history.delete("first", "first")
     assert ids(history.runs()) == ["third", "second"]
+
+
+def test_a_deleted_run_is_restored_with_everything(history):
+    before = history.annotate("first", notes="one", tags=["coil 2"])
+    history.delete("first", "first")
+    assert ids(history.deleted().runs()) == ["first"]
+    with pytest.raises(RunError, match="not one of the runs"):
+        history.find("first")
+    assert history.restore("first") == before
+    assert ids(history.deleted().runs()) == []
+    assert history.recording("first").name == "regulation.mcap"
+
+
+def test_a_deletion_removes_runs_that_were_deleted_more_than_a_day_ago(history, tmp_path):
+    history.delete("first", "first")
+    history.delete("second", "second")
+    yesterday = time.time() - TRASH_SPAN_S - 60.0
+    os.utime(tmp_path / "runs" / TRASH / "first", (yesterday, yesterday))
+    history.delete("third", "third")
+    assert ids(history.deleted().runs()) == ["third", "second"]
+
+
+def test_title_star_and_tags_of_a_run_are_stored_one_by_one(history):
+    assert history.annotate("first", title="my circle").title == "my circle"
+    assert history.annotate("first", starred=True).starred
+    run = history.annotate("first", tags=["coil 2", "morning"])
+    assert (run.title, run.starred, run.tags, run.notes) == ("my circle", True, ("coil 2", "morning"), "")
+    assert ids(history.runs(text="MORNING")) == ["first"]
+    assert history.annotate("first", title="").title == "Title 0"  # the recorded title
+
+
+@pytest.mark.parametrize(
+    "added", [{"title": "x" * 121}, {"tags": ["x" * 41]}, {"tags": [str(number) for number in range(21)]}]
+)
+def test_too_long_titles_and_too_many_tags_are_refused_with_the_bound(history, added):
+    with pytest.raises(RunError, match="at most"):
+        history.annotate("first", **added)
+    assert history.run("first").tags == ()
 
 
 def test_a_recording_is_found_by_its_case(history):

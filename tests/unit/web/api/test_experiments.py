@@ -43,7 +43,7 @@ def test_a_broken_experiment_file_has_no_picture_and_the_error_names_the_file(ap
 
 
 def test_a_station_of_three_tubes_lists_the_papers_experiments_as_refused():
-    listed = experiments_out(load_station(None, {"robot": "three_tubes"}).bench())
+    listed = experiments_out(load_station(None, {"robot": "three_tubes"}).bench(), check_motions=True)
     for one in listed:
         for case in one.cases:
             other = "balanced_pair" if one.name == "points" else "paper"
