@@ -330,7 +330,7 @@ def test_keyboard_reaches_every_control_of_the_page(page: Page, station: Served)
     station.wait_for(lambda s: s["state"] == "STOPPED")
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180)])
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1024, 768), (820, 1180), (390, 844), (720, 450)])
 def test_page_tabs_fit_small_screens(page: Page, width: int, height: int, picture: Picture) -> None:
     page.set_viewport_size({"width": width, "height": height})
     try:
@@ -341,13 +341,48 @@ def test_page_tabs_fit_small_screens(page: Page, width: int, height: int, pictur
             )
             assert wide <= 1, name
         assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.mouse.wheel(0, 2000)  # low windows scroll below STOP
         box = page.locator("#stop").bounding_box()
         assert box is not None
-        assert box["x"] >= 0
-        assert box["y"] >= 0
+        assert 0 <= box["x"] < 12
+        assert 0 <= box["y"] < 12
+        assert box["width"] >= 120
+        assert box["height"] >= 44
+        page.evaluate("scrollTo(0, 0)")
+        tab(page, "jog")
+        if page.locator("#welcome").count():
+            page.locator("#welcome").get_by_role("button", name="Close").click()
+        jog = page.locator("#jog").bounding_box()
+        assert jog is not None
+        assert jog["height"] >= 0.45 * height
         picture(page, f"screen_{width}")
     finally:
         page.set_viewport_size({"width": 1280, "height": 720})
+
+
+def test_width_of_the_controls_is_set_by_keys_and_pointer_and_kept(page: Page) -> None:
+    panel, divider = page.locator("#panel"), page.get_by_role("separator", name="width of the controls")
+
+    def width() -> float:
+        box = panel.bounding_box()
+        assert box is not None
+        return box["width"]
+
+    usual = width()
+    divider.focus()
+    page.keyboard.press("ArrowLeft")
+    wider = width()
+    assert wider > usual
+    page.reload()
+    page.locator("#state", has_text="READY").wait_for()
+    assert width() == wider
+    page.mouse.move(1280 - wider - 2, 400)
+    page.mouse.down()
+    page.mouse.move(1280 - usual - 100, 400)
+    page.mouse.up()
+    assert abs(width() - usual - 100) < 3
+    divider.dblclick()
+    assert width() == usual
 
 
 def test_page_text_has_enough_contrast_in_light_and_dark(page: Page, picture: Picture) -> None:
