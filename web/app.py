@@ -7,10 +7,9 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,15 +21,9 @@ from rich.console import Console
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp
 
-from core.errors import CtrError
-from station.control import ring
-from station.control.realtime import last_core
-from station.devices.links.link import clear_left_behind
-from station.experiments.saved import use_saved
 from station.recording.history import RunHistory
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
-from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audit_middleware import AuditMiddleware
@@ -61,83 +54,17 @@ START_TIMEOUT_S = 600.0
 #: Duration of the start after which the terminal prints the reason of the delay [s].
 SLOW_START_S = 15.0
 COMPILING = "still starting: the first start compiles the model, which takes a minute or more (Ctrl-C cancels)"
-UNDRIVEN = "it moved no stages"
 #: Name of the folder with the calibrations, in the data folder next to the runs.
 CALIBRATIONS_FOLDER = "calibrations"
 #: Longest WebSocket message from a client [bytes].
 MAX_MESSAGE_BYTES = 64 * 1024
-#: Socket send buffer of each client that does not read [bytes]; the kernel doubles it.
-SEND_BUFFER_BYTES = 128 * 1024
 #: Number of STOP requests handled at the same time. Each request may wait for seconds if the stages do not answer.
 STOPS_AT_ONCE = 32
 #: Number of connections that the system queues before the server accepts them.
 LISTEN_BACKLOG = 64
 
 
-class PortError(CtrError):
-    """The station's port is not available."""
-
-
-def serve(
-    config: Path | None,
-    changes: Mapping[str, Any],
-    host: str,
-    port: int,
-    data: Path,
-    options: GatewayOptions,
-    *,
-    browser: bool,
-) -> int:
-    """Run the station until Ctrl-C.
-
-    Args:
-        config: path of the station file; None: the default station, a virtual lab.
-        changes: values that replace keys of the station file.
-        host: address to listen on.
-        port: port of page and REST; 0: any free port.
-        data: folder of runs, calibrations and audit log.
-        options: protocols and addresses of the gateway.
-        browser: whether to open a browser; it is opened only if the output is a terminal.
-
-    Returns:
-        0 if every axis was confirmed to have stopped, otherwise 1.
-
-    Raises:
-        ConfigError: the configuration is invalid.
-        AuditError: the audit log in the folder `data` cannot be written.
-        PortError: the port is in use.
-        GatewayError: a part of the gateway is not available.
-        CtrError: the control process does not start.
-    """
-    out = Console(highlight=False, soft_wrap=True)
-    options.check()
-    ring.clear_left_behind()
-    clear_left_behind()
-    station = load_station(config, changes)
-    use_saved(data)
-    bench = station.bench()
-    with contextlib.closing(_listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
-        port = listening.getsockname()[1]
-        out.print(f"ctr-station: {bench.title}")
-        for warning in bench.warnings:
-            out.print(f"warning: {warning}", markup=False)
-        if station.own_core:
-            bench = replace(bench, core=last_core())
-        supervisor = Supervisor(bench, data, audit)
-        try:
-            supervisor.open()
-            _serve_web(supervisor, listening, (host, port), data, audit, out, options, browser=browser)
-        finally:
-            stopped = supervisor.end_control()  # needed if the web server never started; otherwise repeated
-            supervisor.close()
-            if not stopped.confirmed:
-                sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
-    if stopped.confirmed:
-        out.print(f"ctr-station has ended; {f'every axis is stopped: {stopped.text}' if stopped.text else UNDRIVEN}")
-    return 0 if stopped.confirmed else 1
-
-
-def _serve_web(
+def serve_web(
     supervisor: Supervisor,
     listening: socket.socket,
     address: tuple[str, int],
@@ -148,7 +75,22 @@ def _serve_web(
     *,
     browser: bool,
 ) -> None:
-    """Run the web server until Ctrl-C. Ctrl-C first stops the axes, even while requests are being handled."""
+    """Run the web server until Ctrl-C. Ctrl-C first stops the axes, even while requests are being handled.
+
+    Args:
+        supervisor: the station, whose processes have been started.
+        listening: socket that listens at `address`.
+        address: host and port of page and REST.
+        data: folder of runs, calibrations and audit log.
+        audit: audit log of commands and refusals.
+        out: terminal for the messages to the operator.
+        options: protocols and addresses of the gateway.
+        browser: whether to open a browser; it is opened only if the output is a terminal.
+
+    Raises:
+        GatewayError: a part of the gateway is not available.
+        CtrError: the control process does not start.
+    """
     host, port = address
     tokens = None if is_loopback(host) else new_tokens()
     service = StationService(supervisor)
@@ -242,21 +184,6 @@ class _Server(uvicorn.Server):
         """Shut the server down without waiting for incomplete requests."""
         self._connections.end()
         await super().shutdown(sockets)
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    """Return a socket bound to the station's port, so that a busy port is reported before anything starts."""
-    try:
-        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        listening = socket.socket(family, socket.SOCK_STREAM)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        listening.bind((host, port))
-        listening.listen(LISTEN_BACKLOG)
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise PortError(f"port {port} on {host} is not available: {reason}; choose another with --port") from None
-    return listening
 
 
 def _free_port() -> int:

@@ -56,7 +56,7 @@ def _serve(parsed: argparse.Namespace) -> int:
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
     with _exit_on_signal():
-        from web.app import serve
+        from web.serve import serve
 
         browser = not parsed.no_browser
         return serve(parsed.config, changes, parsed.host, parsed.port, data_folder(parsed), options, browser=browser)

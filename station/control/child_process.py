@@ -1,13 +1,22 @@
-"""Child processes of the station: start, messages through a pipe, end, and evidence that a process is alive."""
+"""Child processes of the station: start, messages through a pipe, end, and evidence that a process is alive.
+
+A parent with a single thread forks the child, which then has all modules and compiled code of its parent: importing
+them again takes a second of processor time. A fork of a process with several threads might copy a lock that another
+thread has locked, so such a parent starts a new interpreter instead ("spawn"). The station forks its processes before
+it starts its first thread; a reset after a crash starts new interpreters.
+"""
 
 import contextlib
+import gc
 import math
 import multiprocessing
 import os
 import signal
 import time
 from collections.abc import Callable
-from multiprocessing.connection import wait
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
 from typing import Any
 
 from station.control.clock import StationClock
@@ -24,7 +33,7 @@ class ChildProcess:
     """Owner of one child process and of the pipe to it."""
 
     def __init__(self, main: Callable[..., None], *arguments: Any, name: str, daemon: bool = True) -> None:
-        """Start `main(*arguments, pipe, parent)` in a new interpreter.
+        """Start `main(*arguments, pipe, parent)` in a new process.
 
         Args:
             main: function that the child executes. Its last arguments are the child's end of the pipe, and the
@@ -33,9 +42,13 @@ class ChildProcess:
             name: name of the child process.
             daemon: True: the child ends with the parent; False: the child may outlive the parent.
         """
-        context: Any = multiprocessing.get_context("spawn")
+        context: Any = multiprocessing.get_context("fork" if _has_one_thread() else "spawn")
         self.pipe, end = context.Pipe()  #: end of the pipe to the child; readable when the child has sent a message
-        self._process = context.Process(target=main, args=(*arguments, end, os.getpid()), name=name, daemon=daemon)
+        target, given = main, (*arguments, end, os.getpid())
+        if context.get_start_method() == "fork":
+            resource_tracker.ensure_running()  # the child shares it
+            target, given = _forked, (_open_descriptors(), main, *given)
+        self._process = context.Process(target=target, args=given, name=name, daemon=daemon)
         # Ctrl-C in a terminal sends SIGINT to the whole process group, but the parent decides when the child ends. So
         # the child blocks SIGINT from its first instruction on.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -92,6 +105,48 @@ class ChildProcess:
         """End the child process as `end` does, then close the pipe to it."""
         self.end(patience)
         self.pipe.close()
+
+
+def _has_one_thread() -> bool:
+    """Return whether this process has one thread, including those of libraries; False on other systems than Linux."""
+    try:
+        return len(list(Path("/proc/self/task").iterdir())) == 1
+    except FileNotFoundError:
+        return False
+
+
+def _open_descriptors() -> set[int]:
+    """Return the file descriptors of this process (Linux)."""
+    found = set[int]()
+    for file in list(Path("/proc/self/fd").iterdir()):
+        with contextlib.suppress(OSError):  # the descriptor with which this function has read the list
+            os.fstat(int(file.name))
+            found.add(int(file.name))
+    return found
+
+
+def _forked(inherited: set[int], main: Callable[..., None], *arguments: Any) -> None:
+    """Run `main(*arguments)` in a forked child, after giving up everything that belongs to its parent.
+
+    Args:
+        inherited: file descriptors of the parent before the fork.
+        main: main function of the child.
+        arguments: arguments of `main`; those that are connections stay open.
+    """
+    for number in signal.valid_signals():
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_DFL)
+    kept = {0, 1, 2, resource_tracker.getfd()}
+    kept |= {one.fileno() for one in arguments if isinstance(one, Connection)}
+    # An open copy of a socket would keep the station's port busy after the station's end, and a copy of a pipe's other
+    # end would hide this end. The numbers stay in use, because objects of the parent, which nothing uses here, may
+    # close them at any time.
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in inherited - kept:
+        os.dup2(nothing, descriptor, inheritable=False)
+    os.close(nothing)
+    gc.freeze()  # a collection would copy the memory that the child shares with its parent
+    main(*arguments)
 
 
 #: Age of a heartbeat from which on the kernel is queried, and interval between two queries [s].

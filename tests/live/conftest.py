@@ -83,7 +83,7 @@ def station(running: Served) -> Served:
     return running
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def environment() -> dict[str, str]:
     """Return the environment variables with which a process finds this project from any folder."""
     return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}

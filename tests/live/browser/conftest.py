@@ -1,7 +1,8 @@
 """A real Chromium on a real station. Without a Chromium these tests are deselected, and the last line reports it."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -32,10 +33,41 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 _DESELECTED = pytest.StashKey[int]()
 
 
+class SharedBrowser:
+    """Chromium that is shared by consecutive tests that need one; every test closes its own pages."""
+
+    def __init__(self) -> None:
+        self._owned = ExitStack()
+        self._browser: Browser | None = None
+
+    def __call__(self) -> Browser:
+        if self._browser is None:
+            self._browser = self._owned.enter_context(chromium())
+        return self._browser
+
+    def end(self) -> None:
+        self._browser = None
+        self._owned.close()
+
+
+_BROWSER = pytest.StashKey[SharedBrowser]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
+    """End the shared browser before a test that does not use it; Playwright's event loop would disturb other tests."""
+    yield
+    if nextitem is None or "browser" not in getattr(nextitem, "fixturenames", ()):
+        _shared(item.session).end()
+
+
+def _shared(session: pytest.Session) -> SharedBrowser:
+    return session.stash.setdefault(_BROWSER, SharedBrowser())
+
+
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with chromium() as browser:
-        yield browser
+def browser(request: pytest.FixtureRequest) -> Browser:
+    return _shared(request.session)()
 
 
 @pytest.fixture(scope="module")

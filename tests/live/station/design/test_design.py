@@ -30,17 +30,23 @@ def command(study, folder, *more):
     return [sys.executable, "-m", "station", "design", str(study), "--out", str(folder), "--json", *more]
 
 
-@pytest.fixture
-def study(tmp_path):
-    path = tmp_path / "short.toml"
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    path = tmp_path_factory.mktemp("study") / "short.toml"
     path.write_text(STUDY)
     return path
 
 
-@pytest.fixture
-def here(study, environment, tmp_path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return the folder of the search in one process."""
+    return tmp_path_factory.mktemp("here")
+
+
+@pytest.fixture(scope="module")
+def here(study, environment, folder):
     """Return the results of a search in one process."""
-    words = command(study, tmp_path / "here", "--jobs", "1")
+    words = command(study, folder, "--jobs", "1")
     return json.loads(subprocess.run(words, env=environment, capture_output=True, check=True).stdout)
 
 
@@ -49,28 +55,28 @@ def kept(folder):
     return sorted(lines[1:])
 
 
-def test_the_robot_found_by_a_design_search_can_be_loaded_and_holds_a_larger_load(here, tmp_path):
-    (folder,) = (tmp_path / "here").iterdir()
+def test_the_robot_found_by_a_design_search_can_be_loaded_and_holds_a_larger_load(here, folder):
+    (found,) = folder.iterdir()
     assert here["after"]["largest_force_n"] > here["before"]["largest_force_n"]
     assert here["after"]["exact_away_mm"] < 0.25
-    robot = load_robot(str(folder / "robot.toml"))
+    robot = load_robot(str(found / "robot.toml"))
     assert robot.name == "paper-short"
     assert robot.tubes[0].sections[1].curvature[0] == here["parameters"][0]["after"]
-    assert (folder / "report.html").read_text(encoding="utf-8").count("data:image/svg+xml") == 3
+    assert (found / "report.html").read_text(encoding="utf-8").count("data:image/svg+xml") == 3
 
 
 @pytest.mark.parametrize("engine", ["processes", "dask"])
-def test_every_engine_of_a_design_search_stores_the_same_candidates(engine, here, study, environment, tmp_path):
+def test_every_engine_of_a_design_search_stores_the_same_candidates(engine, here, folder, study, environment, tmp_path):
     if engine == "dask" and importlib.util.find_spec("distributed") is None:
         pytest.skip("the extra dask is not installed")
     more = ("--scheduler", "local") if engine == "dask" else ()
     words = command(study, tmp_path / engine, "--jobs", "2", *more)
     found = json.loads(subprocess.run(words, env=environment, capture_output=True, check=True).stdout)
-    assert kept(tmp_path / engine) == kept(tmp_path / "here")
+    assert kept(tmp_path / engine) == kept(folder)
     assert {**found, "folder": ""} == {**here, "folder": ""}
 
 
-def test_a_design_search_stopped_by_ctrl_c_can_be_continued(here, study, environment, tmp_path):
+def test_a_design_search_stopped_by_ctrl_c_can_be_continued(here, folder, study, environment, tmp_path):
     words = command(study, tmp_path / "stopped", "--jobs", "1")
     first = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     try:
@@ -81,6 +87,6 @@ def test_a_design_search_stopped_by_ctrl_c_can_be_continued(here, study, environ
         first.kill()
         first.wait()
     assert first.returncode == 130
-    assert 2 <= len(kept(tmp_path / "stopped")) < len(kept(tmp_path / "here"))
+    assert 2 <= len(kept(tmp_path / "stopped")) < len(kept(folder))
     found = json.loads(subprocess.run(words, env=environment, capture_output=True, check=True).stdout)
     assert {**found, "folder": ""} == {**here, "folder": ""}

@@ -10,6 +10,7 @@ import psutil
 import pytest
 
 from tests.harness.root import ROOT
+from tests.harness.serving import free_port
 from tests.harness.waiting import NET, until
 from tests.tools.killed_sweep import Figures, cluster, killed_sweep, rows, sweep_command, wait_for_rows, without_clock
 
@@ -157,12 +158,11 @@ def test_a_lost_dask_scheduler_ends_the_sweep_and_keeps_the_finished_runs(own, e
 
 
 def test_a_missing_dask_scheduler_is_reported_in_one_line(own, environment, tmp_path):
-    with cluster(tmp_path, 0) as gone:
-        pass
-    done = carry_out(sweep_command(own, 2, tmp_path / "dask", "--scheduler", gone.address), tmp_path, environment)
+    address = f"tcp://127.0.0.1:{free_port()}"
+    done = carry_out(sweep_command(own, 2, tmp_path / "dask", "--scheduler", address), tmp_path, environment)
 
     assert done.returncode == 2
-    assert f"--scheduler {gone.address}: no Dask scheduler answers at this address" in done.stderr.splitlines()[-1]
+    assert f"--scheduler {address}: no Dask scheduler answers at this address" in done.stderr.splitlines()[-1]
 
 
 def test_dask_workers_without_ctr_station_end_the_sweep_with_a_reason_and_no_row(own, environment, tmp_path):
