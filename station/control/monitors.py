@@ -273,11 +273,12 @@ def blocks_motion(trouble: DeviceFault | None) -> bool:
 def not_finite(joints: JointReading, frame: TipReading | None, wrenches: WrenchReading) -> tuple[str, str]:
     """Return a cause that names the device with a NaN or infinite reading, and the reading; empty if all are finite."""
     readings = (
-        ("the stages reported positions", joints.positions),
-        ("the tracker reported a position", None if frame is None else frame.position),
-        ("the force sensors reported forces", wrenches.wrenches),
+        ("the stages", joints.positions),
+        ("the tracker", None if frame is None else frame.position),
+        ("the force sensors", wrenches.wrenches),
     )
-    for what, numbers in readings:
+    for who, numbers in readings:
         if numbers is not None and not np.isfinite(numbers).all():
-            return f"{what} that are not finite, and the sample was not used; check the device", str(numbers.tolist())
+            text = f"{who} reported a value that is not finite, and the sample was not used; check the device"
+            return text, str(numbers.tolist())
     return "", ""

@@ -27,5 +27,5 @@ def test_value_strip_shows_the_distance_to_the_target_and_reports_a_lost_target(
     assert "target not seen" in distance.inner_text()
     assert station.status()["state"] == "RUNNING"  # the setpoint rests until the target has been lost for 2 s
     page.locator("#state", has_text="HOLD").wait_for()
-    assert "target: not measured for 2.0 s" in page.locator("#says").inner_text()
+    assert "target was not measured for 2.0 s" in page.locator("#says").inner_text()
     assert "bring it back into the tracker's volume" in page.locator("#says").inner_text()

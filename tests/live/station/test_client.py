@@ -71,7 +71,7 @@ def test_client_goto_moves_named_joints_and_without_joints_to_the_working_pose(s
 
 
 def test_client_error_has_the_bound_for_a_telemetry_rate_outside_its_range(station: Station) -> None:
-    with pytest.raises(StationRefused, match=r"rate: 200 .*100"):
+    with pytest.raises(StationRefused, match=r"rate = '200'.*100"):
         next(station.telemetry(200.0))
 
 

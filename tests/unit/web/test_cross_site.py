@@ -39,4 +39,4 @@ def test_a_websocket_with_an_invalid_parameter_is_refused_with_its_name_and_valu
     with pytest.raises(WebSocketDenialResponse) as refused, app.websocket_connect(path, headers=headers):
         pass
     assert refused.value.status_code == 422
-    assert refused.value.json()["error"].startswith("rate: ")
+    assert refused.value.json()["error"].startswith("rate = ")

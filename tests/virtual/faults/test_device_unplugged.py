@@ -17,7 +17,7 @@ from tests.harness.virtual_station import VirtualStation
     [
         ("stages", State.FAULT, "the stage inner_translation cannot be reached", "zaber is gone"),
         ("tracker", State.HOLD, "the connection to the tracker is lost", "aurora is gone"),
-        ("inner", State.HOLD, "force sensor 1 is not connected", "netft 1"),
+        ("inner", State.HOLD, "force sensor 1 was silent for too long", "netft 1"),
     ],
 )
 def test_unplugged_device_ends_the_motion_and_its_return_does_not_resume_it(

@@ -93,7 +93,7 @@ def test_stop_in_the_page_header_stops_the_robot_and_reset_makes_it_ready(page: 
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
     assert station.status()["state"] == "STOPPED"
-    assert "operator" in page.locator("#says").inner_text()
+    page.locator("#says", has_text="You pressed STOP").wait_for()
     page.locator("#reset").click()
     page.locator("#state", has_text="READY").wait_for()
 

@@ -46,7 +46,7 @@ def test_run_of_one_case_with_another_value_runs_only_this_case_with_this_value(
     assert done.status == 0
     assert list(json.loads(done.out)["cases"]) == ["two"]
     (recording,) = (tmp_path / "out").glob("*/two.mcap")
-    assert read_case(recording).metadata["case"]["controller"]["feedforward"] is False
+    assert read_case(recording).metadata["settings"]["controller"]["feedforward"] is False
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_target_lost_for_long_ends_the_run_with_the_cause(virtual: VirtualStatio
     virtual.seconds(0.3)
     assert virtual.rests()
     virtual.loop.reset(virtual.now)
-    with pytest.raises(RefusedError, match="target: not measured for"):
+    with pytest.raises(RefusedError, match="the target was not measured for"):
         virtual.moving(FOLLOW)
     virtual.mend()
     virtual.seconds(0.2)
@@ -108,7 +108,7 @@ def test_bench_without_a_second_coil_refuses_to_follow() -> None:
     usual = a_case("follow", "breathing")
     bench = VirtualStation(usual._replace(lab=load_lab("gentle", usual.robot)))
 
-    with pytest.raises(RefusedError, match=r"target: not measured yet.*name its coil in devices\.tracker\.target"):
+    with pytest.raises(RefusedError, match=r"target was not measured yet.*name its coil in devices\.tracker\.target"):
         bench.moving(FOLLOW)
     assert bench.state is State.READY
     assert not bench.of("target_true").any()

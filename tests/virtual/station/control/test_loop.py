@@ -259,7 +259,7 @@ def test_device_that_answers_nan_causes_hold_and_no_velocity_is_sent_afterwards(
     bench.tick(100)
 
     assert bench.loop.state is State.HOLD
-    assert "nan" in bench.loop.cause
+    assert "nan" in bench.loop.cause_details
     assert "\n" not in bench.loop.cause
     assert bench.loop.progress is None
     # The next tracker frame may be 25 ms away; stages and force sensors are read at every tick.
