@@ -178,16 +178,28 @@ class RunHistory:
         folder = self.find(name) if name != LATEST else None
         if folder is None or confirm != folder.name:
             raise RunError(f"to delete run '{name}', confirm with the same name, not '{confirm}'")
+        self.purge()
         trash = self._runs / TRASH
         try:
             trash.mkdir(exist_ok=True)
-            for old in trash.iterdir():
-                if not old.is_symlink() and time.time() - old.stat().st_mtime > TRASH_SPAN_S:
-                    shutil.rmtree(old)
+            os.utime(folder)  # the time of the deletion; set first, so that a purge never meets the older time
             folder.rename(trash / folder.name)
-            os.utime(trash / folder.name)  # the time of the deletion
         except OSError as error:
             raise RunError(f"run '{folder.name}': cannot be deleted: {error.strerror}") from None
+
+    def purge(self) -> None:
+        """Remove the runs that were deleted more than a day ago from the disk.
+
+        Raises:
+            RunError: a deleted run cannot be removed.
+        """
+        trash = self._runs / TRASH
+        try:
+            for old in trash.iterdir() if trash.is_dir() else ():
+                if not old.is_symlink() and time.time() - old.stat().st_mtime > TRASH_SPAN_S:
+                    shutil.rmtree(old)
+        except OSError as error:
+            raise RunError(f"{trash}: runs deleted more than a day ago cannot be removed: {error.strerror}") from None
 
     def restore(self, name: str) -> RunDetails:
         """Move a deleted run back and return its entry.

@@ -24,6 +24,7 @@ from station.control.task import MotionTask
 from station.devices.interfaces import with_details
 from station.lab.faults import LabFault
 from station.recording.foxglove import ERROR, INFO, RecordedEvent
+from station.recording.history import RunError, RunHistory
 from station.recording.recorder import START_TIMEOUT_S, Recorder
 from station.recording.recover import recover, unrecoverable
 from station.recording.run_folder import free_space_problem
@@ -66,7 +67,11 @@ class LiveRecording:
     def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
         self.runs = runs
         self.recovered = recover(runs)  #: folders of recovered runs
-        self.not_recoverable = unrecoverable(runs)  #: sentences about runs that this version cannot recover
+        self.not_recoverable = unrecoverable(runs)  #: sentences about runs that cannot be recovered or removed
+        try:
+            RunHistory(runs).purge()
+        except RunError as error:  # the station works with too many deleted runs; the operator is informed
+            self.not_recoverable.append(str(error))
         self._ring, self._clock = ring, clock
         ring.numbers[RECORDER_HEARTBEAT], self._started = 0.0, clock.now()
         self._recorder = Recorder(ring, robot, runs, clock)

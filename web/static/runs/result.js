@@ -131,6 +131,12 @@ function numbersOfTwo(runs) {
   return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map((value) => cell(value))));
 }
 
+/** Return number, title and start of a compared run; two runs with one title differ in their starts. */
+function heading(run, index) {
+  const start = new Date(1000 * run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "medium" });
+  return `${index + 1}: ${run.title || run.experiment || run.id}, ${start}`;
+}
+
 /** Return a table row for each entry in which the summaries of two runs differ. */
 function differences(runs) {
   const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label })));
@@ -148,7 +154,7 @@ function overlaidCurves(runs) {
     const draw = () => {
       const [nameA, nameB] = matched[Math.max(0, choice.selectedIndex)] ?? [];
       drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, "There are no curves: one of the runs has no motion.")
-        : pictures([[`1: ${runs[0].id}`, a[nameA]], [`2: ${runs[1].id}`, b[nameB]]]));
+        : pictures([[heading(runs[0], 0), a[nameA]], [heading(runs[1], 1), b[nameB]]]));
     };
     choice.addEventListener("change", draw);
     choice.hidden = matched.length < 2;
@@ -161,8 +167,7 @@ function overlaidCurves(runs) {
 /** Return the comparison of two runs, the older one first. */
 export function comparison(chosen) {
   const runs = [...chosen].sort((a, b) => a.started - b.started);
-  const clock = (run) => new Date(1000 * run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "medium" });
-  const names = runs.map((run, i) => make("th", {}, `${i + 1}: ${run.title || run.experiment || run.id}, ${clock(run)}`));
+  const names = runs.map((run, i) => make("th", {}, heading(run, i)));
   const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),

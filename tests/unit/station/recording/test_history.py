@@ -116,6 +116,18 @@ def test_a_deletion_removes_runs_that_were_deleted_more_than_a_day_ago(history, 
     assert ids(history.deleted().runs()) == ["third", "second"]
 
 
+def test_a_purge_removes_only_runs_that_were_deleted_more_than_a_day_ago(history, tmp_path):
+    history.purge()  # without deleted runs
+    long_ago = time.time() - 30.0 * TRASH_SPAN_S
+    os.utime(tmp_path / "runs" / "second", (long_ago, long_ago))  # an old run whose deletion is new
+    history.delete("first", "first")
+    history.delete("second", "second")
+    os.utime(tmp_path / "runs" / TRASH / "first", (long_ago, long_ago))
+    history.purge()
+    assert ids(history.deleted().runs()) == ["second"]
+    assert ids(history.runs()) == ["third"]
+
+
 def test_title_star_and_tags_of_a_run_are_stored_one_by_one(history):
     assert history.annotate("first", title="my circle").title == "my circle"
     assert history.annotate("first", starred=True).starred
