@@ -7,7 +7,7 @@ const STATES = [
   ["READY", "nothing moves, and a motion can start"],
   ["RUNNING, HOMING", "the robot moves"],
   ["HOLD", "a fault or a limit has ended the motion; the robot keeps its position, motors on; Reset leads back to READY"],
-  ["STOPPED", "somebody has pressed STOP; Reset leads back to READY"],
+  ["STOPPED", "an operator or viewer has pressed STOP; Reset leads back to READY"],
   ["FAULT", "a device or a program has failed and every axis was stopped; remove the cause, then press Reset"],
 ];
 const KEYS = [
@@ -32,7 +32,7 @@ const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
   make("h3", {}, "States"), list(STATES),
   make("h3", {}, "Keys"), list(KEYS),
   make("h3", {}, "Four tips"), list(TIPS),
-  make("h3", {}, "Tell me about runs by"), switches(),
+  make("h3", {}, "Notifications"), switches(),
   make("p", {}, make("a", { href: "/api/docs", target: "_blank" }, "REST interface"), " for scripts"),
   make("menu", {}, button("Close", () => dialog.close(), { className: "main" })));
 document.querySelector("main").append(dialog);

@@ -4,7 +4,7 @@ import { openTab } from "../page/tabs.js";
 
 const STEPS = [
   ["stop", "STOP, or Shift+Space, stops every axis at once, at any time."],
-  ["state-box", "Here the station says what it does, and what you can do next."],
+  ["state-box", "This part shows the state of the station and what you can do next."],
   ["strip", "During a run: distance of the tip from its desired position, force, deflection and time left."],
 ];
 

@@ -8,7 +8,7 @@ const DEVICE_NAMES = { stages: "stages", tracker: "tracker", sensors: "force sen
 /** Meaning of the states that last until a reset. */
 const LATCHED = {
   HOLD: "HOLD: a fault or a limit has ended the motion. The robot keeps its position, and the motors are on. Reset makes the station ready for the next motion.",
-  STOPPED: "STOPPED: somebody has pressed STOP. Every axis stands still. Reset makes the station ready for the next motion; nothing continues by itself.",
+  STOPPED: "STOPPED: an operator or viewer has pressed STOP. No axis moves. Reset makes the station ready for the next motion; nothing continues by itself.",
   FAULT: "FAULT: a device or a program has failed, and every axis was stopped. Remove the cause first, then press Reset.",
 };
 
