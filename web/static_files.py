@@ -32,7 +32,7 @@ class CheckedFiles(StaticFiles):
     """Static files that a browser checks before each use; an unchanged file is answered without its content."""
 
     def file_response(
-        self, full_path: PathLike[str], stat_result: stat_result, scope: Scope, status_code: int = 200
+        self, full_path: str | PathLike[str], stat_result: stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
         """Return the file, or that it has not changed."""
         response = super().file_response(full_path, stat_result, scope, status_code)
