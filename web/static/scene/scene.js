@@ -67,6 +67,7 @@ async function refresh() {
   }
 }
 setInterval(refresh, 600);
-onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = stale || !mayCommand(status); });
+// Old data does not disable the switches: on a busy computer they would flicker, and the station checks every change.
+onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = !mayCommand(status); });
 refresh();
 request("GET", "/api/rig").then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });
