@@ -5,7 +5,9 @@ import errno
 import io
 import json
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Container, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
@@ -118,6 +120,19 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
     return top, commands
 
 
+#: Time after which a lost Ctrl-C is repeated [s]: the destructor that has lost it has ended then.
+REPEAT_INTERRUPT_S = 0.1
+
+
+def _repeat_lost_interrupt(lost: "sys.UnraisableHookArgs") -> None:
+    """Repeat a Ctrl-C that Python has ignored, because its exception was raised inside a destructor."""
+    if lost.exc_type is KeyboardInterrupt:
+        main = threading.main_thread().ident or 0  # the signal must reach this thread, to end its system call, too
+        threading.Timer(REPEAT_INTERRUPT_S, signal.pthread_kill, [main, signal.SIGINT]).start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def execute(top: CommandParser, commands: Container[str], arguments: Sequence[str] | None, meant: str = "") -> int:
     """Run a command (`meant` when none is named) and return its exit status.
 
@@ -130,6 +145,7 @@ def execute(top: CommandParser, commands: Container[str], arguments: Sequence[st
         return 2
     command: Callable[[argparse.Namespace], int] = parsed.command
     limit_to_one_thread()
+    sys.unraisablehook = _repeat_lost_interrupt
     try:
         return command(parsed)
     except CtrError as error:

@@ -142,6 +142,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
         "state": status.state.name,
         "phase": status.phase.name,
         "cause": status.cause,
+        "details": status.details,
         "run": "" if status.run is None else status.run.id,
         "refused": refused,
         "note": note,

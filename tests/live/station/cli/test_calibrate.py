@@ -23,3 +23,28 @@ def test_ctrl_c_ends_calibrate_and_leaves_no_files(tmp_path, environment):
     assert process.returncode == 130
     assert b"interrupted" in errors
     assert not (tmp_path / "found").exists()
+
+
+#: Program whose command receives Ctrl-C inside a destructor, where Python ignores exceptions.
+LOST = """
+import argparse, os, signal, time
+from station.cli.main import execute
+class Sender:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+def command(parsed):
+    sender = Sender()
+    del sender
+    time.sleep(200.0)
+    return 0
+top = argparse.ArgumentParser()
+top.set_defaults(command=command)
+raise SystemExit(execute(top, [], []))
+"""
+
+
+def test_ctrl_c_inside_a_destructor_is_not_lost(environment):
+    done = subprocess.run([sys.executable, "-c", LOST], env=environment, capture_output=True, timeout=NET)
+    assert done.returncode == 130
+    assert b"interrupted" in done.stderr
