@@ -6,15 +6,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from core.robot.robot import Array
 from station.control.clock import Clock, VirtualClock
 from station.control.telemetry import Channels
 from station.experiments.experiment import Case, Experiment, PaperNumbers
 from station.experiments.results import summarise
 from station.experiments.runner import INTERRUPTED, run_case
-from station.recording.read import MAX_SUMMARY_ROWS, read_case
+from station.recording.read import MAX_SUMMARY_ROWS
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
 from station.recording.run_outcome import RecordingError, RunOutcome, evaluation_note
@@ -52,25 +54,49 @@ class RecordedResult(NamedTuple):
         return bool(self.numbers["completed"])
 
 
+class SummaryRows:
+    """Rows of a run in full precision, from which its summary is computed; a recording rounds them.
+
+    Of a run with more than `most` rows, every n-th row is kept; n is a power of two.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.rows: list[Array] = []
+        self._most, self._stride, self._count = most, 1, 0
+
+    def add(self, row: Array) -> None:
+        """Add a row (channels,), which must not change later."""
+        if self._count % self._stride == 0:
+            self.rows.append(row)
+            if len(self.rows) > self._most:
+                self.rows, self._stride = self.rows[::2], 2 * self._stride
+        self._count += 1
+
+
 def run_recorded(
     assignment: CaseAssignment, progress: Callable[[float], None], clock: Clock | None = None
 ) -> RecordedResult:
     """Carry out a case, record it and return its summary; the run uses virtual time unless `clock` is given.
 
     Raises:
-        RecordingError: the file cannot be created, finished or read back.
+        RecordingError: the file cannot be created or finished.
     """
     writer = assignment.writer()
-    recorder = CaseRecorder(writer, len(writer.channels))
+    recorder, kept = CaseRecorder(writer, len(writer.channels)), SummaryRows(MAX_SUMMARY_ROWS)
+
+    def record(row: Array) -> None:
+        recorder.write(row)
+        kept.add(row)
+
     try:
-        run = run_case(assignment.case, assignment.seed, clock or VirtualClock(), progress, recorder.write)
+        run = run_case(assignment.case, assignment.seed, clock or VirtualClock(), progress, record)
     except BaseException:
         with contextlib.suppress(RecordingError):  # a later recovery finishes this file
             recorder.close(RunOutcome.INTERRUPTED, "the run was aborted")
         raise
     recorder.close(label_of(completed=run.completed, cause=run.cause), run.cause)
     if assignment.path.exists():  # the file is missing if the disk was full
-        run = run._replace(rows=read_case(assignment.path, MAX_SUMMARY_ROWS).rows)
+        run = run._replace(rows=np.array(kept.rows).reshape(-1, len(writer.channels)))
     return RecordedResult(assignment.case.name, summarise(run), writer.label)
 
 

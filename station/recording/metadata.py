@@ -4,18 +4,19 @@ A value that is a text is stored unchanged, so that any MCAP tool shows it. Any 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.metadata import version
 from platform import platform, python_version
 from typing import Any
 
 from station.control.telemetry import Channel
+from station.recording.data_section import RowFormat
 
 #: Names of the metadata records at the start of a recording.
 RUN_RECORD = "run"
 CHANNELS_RECORD = "channels"
 #: Format number of new recordings. It is raised when an older ctr-station would misunderstand new recordings.
-FORMAT = 2
+FORMAT = 3
 #: Names of channel groups in recordings of format 1, with their names since format 2.
 FORMAT_1_GROUPS = {
     "held": "estimates_frozen",
@@ -38,15 +39,21 @@ def values_of(written: Mapping[str, str]) -> dict[str, Any]:
     return {name: _value(text) for name, text in written.items()}
 
 
-def channel_texts(channels: Sequence[Channel]) -> dict[str, str]:
-    """Return names and units of the channels as texts, in the order of the columns."""
-    return {"columns": json.dumps([list(channel) for channel in channels], ensure_ascii=False)}
+def channel_texts(rows: RowFormat) -> dict[str, str]:
+    """Return name, unit and type of each channel as texts, in the order of the columns."""
+    columns = [[*channel, kind] for channel, kind in zip(rows.channels, rows.types, strict=True)]
+    return {"columns": json.dumps(columns, ensure_ascii=False)}
 
 
-def channels_of(written: Mapping[str, str], file_format: int = FORMAT) -> tuple[Channel, ...]:
-    """Return the channels from the texts of `channel_texts`; channels of format 1 get their present names."""
+def row_format(written: Mapping[str, str], file_format: int = FORMAT) -> RowFormat:
+    """Return the format of the rows from the texts of `channel_texts`.
+
+    Channels of format 1 get their present names. Formats 1 and 2 have no types: all of their channels are float64.
+    """
     groups = FORMAT_1_GROUPS if file_format < 2 else {}
-    return tuple(Channel(_renamed(str(name), groups), str(unit)) for name, unit in json.loads(written["columns"]))
+    columns: list[list[str]] = json.loads(written["columns"])
+    channels = [Channel(_renamed(str(name), groups), str(unit)) for name, unit, *_ in columns]
+    return RowFormat(channels, [kind for _, _, *kinds in columns for kind in kinds])
 
 
 def _renamed(name: str, groups: Mapping[str, str]) -> str:

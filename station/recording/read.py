@@ -19,9 +19,9 @@ from zstandard import ZstdError
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
-from station.recording.data_section import MESSAGE_HEADER_BYTES, TELEMETRY_TOPIC
+from station.recording.data_section import MESSAGE_HEADER_BYTES, TELEMETRY_TOPIC, RowFormat
 from station.recording.foxglove import EVENTS_TOPIC, RecordedEvent, event_of
-from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, channels_of, format_of, is_later, values_of
+from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, format_of, is_later, row_format, values_of
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import RECORD_HEADER_BYTES, RESULT_RECORD
 
@@ -71,7 +71,8 @@ class CaseReader:
             self.metadata: Mapping[str, Any] = values_of(written[RUN_RECORD])
             if later := is_later(self.metadata):
                 raise RecordingError(f"{path}: {later}")
-            self.channels = channels_of(written[CHANNELS_RECORD], format_of(self.metadata))
+            self._format = row_format(written[CHANNELS_RECORD], format_of(self.metadata))
+            self.channels = tuple(self._format.channels)
             #: Outcome of the run: label, cause, end time; for a live run also the number of missed rows and the
             #: processor time of the recorder.
             self.result: Mapping[str, Any] = values_of(written[RESULT_RECORD])
@@ -92,7 +93,7 @@ class CaseReader:
             with _undamaged(self._path):
                 self._file.seek(index.chunk_start_offset + RECORD_HEADER_BYTES)
                 stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
-                rows = _rows(stream.read(length), topic, len(self.channels))
+                rows = _rows(stream.read(length), topic, self._format)
             yield rows
 
     def events(self) -> tuple[RecordedEvent, ...]:
@@ -167,21 +168,19 @@ def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
     return found
 
 
-def _rows(content: bytes, topic: int, width: int) -> Array:
-    """Return the telemetry rows (n, width) in the decompressed content of a chunk."""
-    size = 8 * width
-    rows: list[Array] = []
+def _rows(content: bytes, topic: int, rows: RowFormat) -> Array:
+    """Return the telemetry rows (n, channels) in the decompressed content of a chunk."""
+    found: list[bytes] = []
     offset = 0
     while offset < len(content):
         length = int.from_bytes(content[offset + 1 : offset + RECORD_HEADER_BYTES], "little")
+        end = offset + RECORD_HEADER_BYTES + length
         if (
             content[offset] == Opcode.MESSAGE
             and content[offset + RECORD_HEADER_BYTES] + 256 * content[offset + RECORD_HEADER_BYTES + 1] == topic
         ):
-            rows.append(np.frombuffer(content, "<f8", width, offset + MESSAGE_HEADER_BYTES))
-            if length != MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES + size:
-                raise ValueError(
-                    f"a row of {length - MESSAGE_HEADER_BYTES + RECORD_HEADER_BYTES} bytes instead of {size}"
-                )
-        offset += RECORD_HEADER_BYTES + length
-    return np.array(rows) if rows else np.empty((0, width))
+            found.append(content[offset + MESSAGE_HEADER_BYTES : end])
+            if len(found[-1]) != rows.dtype.itemsize:
+                raise ValueError(f"a row of {len(found[-1])} bytes instead of {rows.dtype.itemsize}")
+        offset = end
+    return rows.unpack(b"".join(found))

@@ -21,9 +21,9 @@ EXPERIMENT_FILE = "experiment.toml"
 RECORDING_SUFFIX = ".mcap"
 #: File name of the only recording of a live run; the metadata have the name of the experiment's case.
 LIVE_CASE = "run"
-#: Largest growth of a recording [bytes/s]: 500 rows of about 160 numbers that cannot be compressed, and 10 drawings.
-#: Random numbers with two tubes need 711 kB/s; a real run needs about half of this.
-RECORDING_BYTES_PER_S = 750_000.0
+#: Largest growth of a recording [bytes/s]: 500 rows of about 180 numbers that cannot be compressed, and 10 drawings.
+#: A real run needs about half of this.
+RECORDING_BYTES_PER_S = 400_000.0
 #: Disk space that stays free for other programs [bytes].
 FREE_SPACE_BYTES = 100e6
 

@@ -16,10 +16,11 @@ from station.recording.data_section import (
     TELEMETRY_SCHEMA,
     TELEMETRY_TOPIC,
     DataSection,
+    Rounding,
+    RowFormat,
     Rows,
     Topic,
     WrittenMessage,
-    definition,
     message_records,
 )
 from station.recording.drawing import Drawing
@@ -72,6 +73,7 @@ class CaseWriter:
         self.label: RunOutcome | None = None  #: outcome of the recording; None until its end
         self.started = time.time()  #: start of the recording [s since 1970]
         self._epoch: int | None = None  #: wall time at which the rows' clock was 0 [ns since 1970]
+        self._format, self._rounding = RowFormat.compact(channels), Rounding(channels)
         self._drawing = Drawing(robot, channels, FIRST_DRAWING_CHANNEL)
         self._messages: list[WrittenMessage] = []
         self._rate = pictures
@@ -80,14 +82,14 @@ class CaseWriter:
         self._rows = 0
         self._section: DataSection | None = None
         topics = (
-            Topic(TELEMETRY_TOPIC, "ros1", TELEMETRY_SCHEMA, "ros1msg", definition(channels)),
+            Topic(TELEMETRY_TOPIC, "ros1", TELEMETRY_SCHEMA, "ros1msg", self._format.definition),
             json_topic(EVENTS_TOPIC, EVENTS_SCHEMA),
             *self._drawing.topics,
         )
         run = {"format": FORMAT, "started": self.started, "versions": versions(), **metadata}
         try:
             self._section = DataSection(
-                self._partial, {RUN_RECORD: texts(run), CHANNELS_RECORD: channel_texts(channels)}, topics
+                self._partial, {RUN_RECORD: texts(run), CHANNELS_RECORD: channel_texts(self._format)}, topics
             )
         except OSError as error:
             raise RecordingError(f"{path}: cannot be recorded: {error.strerror}") from None
@@ -104,6 +106,8 @@ class CaseWriter:
     def write(self, rows: Array) -> None:
         """Write rows (n, channels) and the events since the last call; both then survive the end of this process.
 
+        Computed channels are rounded, see `Rounding`.
+
         Raises:
             RecordingError: the rows cannot be written; the recording has ended and is labelled incomplete.
         """
@@ -113,7 +117,8 @@ class CaseWriter:
         self._undrawn += [(rows[number].copy(), int(stamps[number])) for number in self._pictures(rows[:, 0])]
         if len(self._undrawn) >= DRAWINGS_PER_BATCH:
             self._draw()
-        self._put(self._section, message_records(rows, stamps, ROWS_CHANNEL, self._rows))
+        packed = self._format.pack(self._rounding.rounded(rows))
+        self._put(self._section, message_records(packed, stamps, ROWS_CHANNEL, self._rows))
         self._rows += len(rows)
 
     def close(self, label: RunOutcome, cause: str = "", **more: Any) -> None:

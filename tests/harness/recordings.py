@@ -1,6 +1,7 @@
 """Fixtures with telemetry rows of a robot at rest, and with recordings of such rows."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,31 @@ import pytest
 
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.control.telemetry import Channels
+from station.control.telemetry import Channel, Channels
 from station.recording.run_outcome import RunOutcome
 from station.recording.writer import CaseWriter
 
 PERIOD = 0.002
+#: Resolution of a recording for computed channels of each unit.
+STEPS = {"m": 1 / 2**22, "rad": 1 / 2**22, "m/s": 1 / 2**18, "rad/s": 1 / 2**18, "N": 1 / 2**17, "N/s": 1 / 2**14}
+STEPS["N m"] = 1 / 2**23
+MEASURED = ("joints.", "wrench_raw.", "tip_measured.", "target_measured.", "direction_measured.")
+
+
+def as_recorded(rows: Array, channels: Sequence[Channel]) -> Array:
+    """Return the values that a recording of these rows must have, computed number by number."""
+
+    def rounded(value: float, unit: str) -> float:
+        step = STEPS.get(unit) or 2.0 ** (math.floor(math.log2(abs(value))) + 1 - 14 if value else 0)
+        return round(value / step) * step
+
+    kept = np.empty(np.shape(rows))
+    for column, channel in enumerate(channels):
+        values = np.array(rows)[:, column]
+        if channel.unit != "s" and not channel.name.startswith(MEASURED):
+            values = np.array([rounded(value, channel.unit) for value in values.tolist()])
+        kept[:, column] = values if channel.unit == "s" else values.astype(np.float32)
+    return kept
 
 
 @pytest.fixture(scope="session")

@@ -30,7 +30,7 @@ from station.control.states import State
 from station.control.telemetry import Channels
 from station.recording.data_section import TELEMETRY_SCHEMA as SCHEMA
 from station.recording.data_section import TELEMETRY_TOPIC as ROWS_TOPIC
-from station.recording.data_section import Topic, definition
+from station.recording.data_section import RowFormat, Topic
 from station.recording.drawing import Drawing
 from station.recording.foxglove import EVENTS_SCHEMA, EVENTS_TOPIC, INFO, WARNING, RecordedEvent, event_json, json_topic
 from station.recording.writer import EVENT_CHANNEL, FIRST_DRAWING_CHANNEL, ROWS_CHANNEL
@@ -139,7 +139,7 @@ class FoxgloveServer:
         """`tokens`: access tokens, one of which every client needs; None: no token is required."""
         self._drawing = Drawing(robot, channels.all, FIRST_DRAWING_CHANNEL)
         self._topics = (
-            Topic(ROWS_TOPIC, "ros1", SCHEMA, "ros1msg", definition(channels.all)),
+            Topic(ROWS_TOPIC, "ros1", SCHEMA, "ros1msg", RowFormat(channels.all).definition),
             json_topic(EVENTS_TOPIC, EVENTS_SCHEMA),
             *self._drawing.topics,
         )

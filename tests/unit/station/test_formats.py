@@ -100,7 +100,7 @@ def test_recording_states_its_format_and_a_later_format_is_refused(recorded, mak
     with open_case(recorded(make_rows(3))) as case:
         assert case.metadata["format"] == FORMAT
     later = recorded(make_rows(3), "later", format=FORMAT + 1, versions={"ctr-station": "9.1"})
-    with pytest.raises(RecordingError, match=r"later\.mcap: format = 3 is later than 2.*ctr-station 9\.1: update"):
+    with pytest.raises(RecordingError, match=r"later\.mcap: format = 4 is later than 3.*ctr-station 9\.1: update"):
         read_case(later)
 
 
@@ -117,7 +117,7 @@ def test_recovery_reports_and_does_not_change_a_run_of_a_later_format(open_write
         writer.close(RunOutcome.COMPLETE)
     (sentence,) = unrecoverable(runs)
     assert sentence.startswith(
-        f"{runs / 'theirs.partial'}: interrupted, and not recovered: run.mcap.partial: format = 3 is later"
+        f"{runs / 'theirs.partial'}: interrupted, and not recovered: run.mcap.partial: format = 4 is later"
     )
     assert "ctr-station 9.1: update this one" in sentence
 

@@ -21,6 +21,7 @@ from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
+from tests.harness.recordings import as_recorded
 from tests.harness.waiting import until
 from tests.tools.kill_recordings import PERIOD, Feed, kill_recorder
 
@@ -40,7 +41,8 @@ def recorder(feed: Feed, paper: RobotFile, tmp_path: Path) -> Iterator[Recorder]
 
 def is_what_was_fed(read: CaseRecording, feed: Feed) -> bool:
     first = round(read.rows[0, 0] / PERIOD)
-    return bool((read.rows == np.array([feed.row(first + number) for number in range(len(read.rows))])).all())
+    fed = np.array([feed.row(first + number) for number in range(len(read.rows))])
+    return bool((read.rows == as_recorded(fed, read.channels)).all())
 
 
 def test_the_recorder_records_a_run_from_start_to_end(recorder, feed, paper, tmp_path):
@@ -162,7 +164,7 @@ def test_the_recorder_counts_rows_that_were_overwritten_in_the_ring(paper, chann
     read = read_case(path / "run.mcap")
     (event,) = read.events
     assert event.data["missed"] == len(rows) - len(read.rows) >= 500
-    assert (read.rows == rows[-len(read.rows) :]).all()
+    assert (read.rows == as_recorded(rows[-len(read.rows) :], channels.all)).all()
 
 
 def test_a_live_recording_ends_with_the_motion_even_if_the_request_is_late(paper, channels, make_rows, tmp_path):
@@ -186,7 +188,7 @@ def test_a_live_recording_ends_with_the_motion_even_if_the_request_is_late(paper
 
     read = read_case(path / "run.mcap")
     numbers = json.loads((path / "summary.json").read_text(encoding="utf-8"))["cases"]["run"]
-    assert np.array_equal(read.rows, rows[: moving.stop])
+    assert np.array_equal(read.rows, as_recorded(rows[: moving.stop], channels.all))
     assert (numbers["motion_start"], numbers["counted_from_s"]) == (rows[moving.start, 0], 1.0)
     assert numbers["true_max_abs_error_mm"] == numbers["max_abs_error_mm"] == [0.0, 0.0, 0.0]
 

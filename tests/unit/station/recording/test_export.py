@@ -12,13 +12,14 @@ from station.control.telemetry import Channel
 from station.recording.export import ROW_GROUP_ROWS, export_case, export_run, matlab_names
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import CaseWriter
+from tests.harness.recordings import as_recorded
 
 
 @pytest.fixture
-def rows(make_rows):
+def rows(make_rows, channels):
     rows = make_rows(230)
-    rows[3, 5:8] = (5e-324, -0.0, 1.0 / 3.0)
-    return rows
+    rows[3, 5:8] = (1e-30, -0.0, 1.0 / 3.0)
+    return as_recorded(rows, channels.all)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from station.recording.metadata import texts
 from station.recording.read import read_case
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
+from tests.harness.recordings import as_recorded
 
 GONE = texts({"label": RunOutcome.INTERRUPTED, "cause": "gone"})
 
@@ -45,7 +46,8 @@ def test_complete_chunks_of_a_recording_are_recovered_wherever_the_file_was_cut(
         whole = max(number for number, end in enumerate(ends) if end <= cut)
         # A chunk is also complete if only its index was cut.
         assert len(read.rows) in (20 * whole, 20 * (whole + 1))
-        assert (read.rows == np.concatenate([make_rows(20, 20 * n) for n in range(5)])[: len(read.rows)]).all()
+        written = np.concatenate([make_rows(20, 20 * n) for n in range(5)])
+        assert (read.rows == as_recorded(written[: len(read.rows)], read.channels)).all()
         assert read.label is RunOutcome.INTERRUPTED
     assert len(rows) == 100
 

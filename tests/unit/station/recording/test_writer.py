@@ -13,6 +13,7 @@ from station.recording.recover import recover_file
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import BLOCK_ROWS, FULL_SUFFIX, CaseRecorder
 from tests.harness.full_disk import full_disk
+from tests.harness.recordings import as_recorded
 
 
 def messages(path, topic):
@@ -28,7 +29,7 @@ def test_the_mcap_library_reads_every_recorded_row_with_its_time(recorded, make_
         found = list(reader.iter_decoded_messages(topics="/telemetry"))
 
     assert len(found) == 250
-    for row, one in zip(rows, found, strict=True):
+    for row, one in zip(as_recorded(rows, channels.all), found, strict=True):
         assert one.decoded_message.time == row[0]
         assert one.decoded_message.stability == row[-1] or channels.all[-1].name != "stability"
         assert one.decoded_message.force.z == channels.of(row, "force")[2]
@@ -174,7 +175,7 @@ def test_the_case_recorder_records_every_row_once_if_the_caller_reuses_its_array
     recorder.close(RunOutcome.STOPPED, "enough")
     read = read_case(writer.path)
 
-    assert (read.rows == rows).all()
+    assert (read.rows == as_recorded(rows, channels.all)).all()
     assert [event.text for event in read.events] == ["RUNNING"]
     assert (read.label, read.cause) == (RunOutcome.STOPPED, "enough")
     with open_case(writer.path) as case:
