@@ -58,6 +58,8 @@ RESOLUTIONS = MappingProxyType(
         "N m": 2.0**-23,  # 0.1 uN m
     }
 )
+#: Beginning of the groups of unit vectors, which are rounded as angles are.
+UNIT_VECTORS = "direction_"
 #: Significant bits of computed channels with other units, such as variances; the state, a whole number, stays exact.
 SIGNIFICANT_BITS = 14
 DOUBLE, SINGLE = "float64", "float32"
@@ -139,13 +141,13 @@ class Rounding:
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         computed = [
-            (column, channel.unit)
+            (column, _resolution(channel))
             for column, channel in enumerate(channels)
             if channel.unit != "s" and channel.name.rpartition(".")[0] not in MEASURED_GROUPS
         ]
-        self._fixed = np.array([column for column, unit in computed if unit in RESOLUTIONS], np.intp)
-        self._resolution = np.array([RESOLUTIONS[unit] for _, unit in computed if unit in RESOLUTIONS])
-        self._floating = np.array([column for column, unit in computed if unit not in RESOLUTIONS], np.intp)
+        self._fixed = np.array([column for column, resolution in computed if resolution], np.intp)
+        self._resolution = np.array([resolution for _, resolution in computed if resolution])
+        self._floating = np.array([column for column, resolution in computed if not resolution], np.intp)
 
     def rounded(self, rows: Array) -> Array:
         """Return a copy of rows (n, channels): multiples of `RESOLUTIONS`, or numbers of `SIGNIFICANT_BITS`."""
@@ -155,6 +157,11 @@ class Rounding:
         scale = 2.0**SIGNIFICANT_BITS
         rows[:, self._floating] = np.ldexp(np.rint(mantissas * scale) / scale, exponents)
         return rows
+
+
+def _resolution(channel: Channel) -> float | None:
+    """Return the multiple to which a computed channel is rounded, or None for `SIGNIFICANT_BITS`."""
+    return RESOLUTIONS["rad"] if channel.name.startswith(UNIT_VECTORS) else RESOLUTIONS.get(channel.unit)
 
 
 def message_records(rows: NDArray[np.void], times: NDArray[np.uint64], topic: int, first: int) -> Rows:

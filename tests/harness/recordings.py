@@ -23,7 +23,8 @@ MEASURED = ("joints.", "wrench_raw.", "tip_measured.", "target_measured.", "dire
 def as_recorded(rows: Array, channels: Sequence[Channel]) -> Array:
     """Return the values that a recording of these rows must have, computed number by number."""
 
-    def rounded(value: float, unit: str) -> float:
+    def rounded(value: float, channel: Channel) -> float:
+        unit = "rad" if channel.name.startswith("direction_") else channel.unit
         step = STEPS.get(unit) or 2.0 ** (math.floor(math.log2(abs(value))) + 1 - 14 if value else 0)
         return round(value / step) * step
 
@@ -31,7 +32,7 @@ def as_recorded(rows: Array, channels: Sequence[Channel]) -> Array:
     for column, channel in enumerate(channels):
         values = np.array(rows)[:, column]
         if channel.unit != "s" and not channel.name.startswith(MEASURED):
-            values = np.array([rounded(value, channel.unit) for value in values.tolist()])
+            values = np.array([rounded(value, channel) for value in values.tolist()])
         kept[:, column] = values if channel.unit == "s" else values.astype(np.float32)
     return kept
 

@@ -23,14 +23,14 @@ from tests.tools.kill_stations import until_moving
 
 def test_recording_larger_than_the_free_space_is_refused_before_the_run(paper) -> None:
     ring = Ring(ring_width(paper))
-    # A day of telemetry needs more than 60 GB, which is more than a file system in memory has.
+    # Ten days of telemetry need 347 GB, which is more than a file system in memory has.
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         recording = LiveRecording(ring, paper, Path(folder), CLOCK)
         try:
             with pytest.raises(
-                RecordingError, match=r"MB are free, a recording of 86400 s needs 6\d{4} MB; delete old"
+                RecordingError, match=r"MB are free, a recording of 864000 s needs 3\d{5} MB; delete old"
             ):
-                recording.begin("long", 86400.0, 0.0, {})
+                recording.begin("long", 864000.0, 0.0, {})
         finally:
             recording.close()
             ring.close(remove=True)

