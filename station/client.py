@@ -285,6 +285,14 @@ class Station:
         """Tare the force sensors."""
         self._request("POST", "/api/tare", {})
 
+    def mark(self, text: str) -> None:
+        """Mark the present moment of the run in its recording, for example "touched the tip".
+
+        Raises:
+            StationRefused: no run is being recorded.
+        """
+        self._request("POST", "/api/mark", {"text": text})
+
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
         """Jog for the next 0.3 s; `space`: `joints` [rad/s or m/s], `tip` [m/s], or `direction` of the tip [rad/s]."""
         self._request("POST", "/api/jog", {"space": space, "velocity": velocity})

@@ -24,6 +24,7 @@ from starlette.types import ASGIApp
 from station.recording.history import RunHistory
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
+from station.service.run_queue import RunQueue
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from web.access.audit_middleware import AuditMiddleware
@@ -35,6 +36,7 @@ from web.api.calibration import calibration_routes
 from web.api.commands import commands, operator_routes, watch_operator, with_permits
 from web.api.control import control_routes
 from web.api.experiments import waypoint_routes
+from web.api.queue import queue_routes
 from web.api.refusals import answer_errors, renamed_routes, require_utf8
 from web.api.rig import bench_routes
 from web.api.runs import MCAP_MEDIA_TYPE, runs_routes
@@ -62,6 +64,9 @@ MAX_MESSAGE_BYTES = 64 * 1024
 STOPS_AT_ONCE = 32
 #: Number of connections that the system queues before the server accepts them.
 LISTEN_BACKLOG = 64
+#: Time for which an idle connection stays open [s]. Many scripts poll every 5 or 10 s; with such a time the server would
+#: close a connection at the moment when the next request arrives.
+KEEP_ALIVE_S = 17
 
 
 def serve_web(
@@ -166,7 +171,8 @@ def _server(app: ASGIApp) -> uvicorn.Server:
     connections = Connections(app, connection_capacity())
     settings = uvicorn.Config(
         connections, log_level="warning", ws_per_message_deflate=False, ws_max_size=MAX_MESSAGE_BYTES,
-        timeout_graceful_shutdown=3, lifespan="on", backlog=LISTEN_BACKLOG, proxy_headers=False,
+        timeout_graceful_shutdown=3, timeout_keep_alive=KEEP_ALIVE_S, lifespan="on", backlog=LISTEN_BACKLOG,
+        proxy_headers=False,
     )  # fmt: skip
     settings.load()
     settings.http_protocol_class = cast("Any", connections.admitting(settings.http_protocol_class))
@@ -220,15 +226,22 @@ def build_app(
         gateway: gateway of the station; None: the station has no gateway.
     """
     stopping = ThreadPoolExecutor(STOPS_AT_ONCE, "stop")
+    queue = RunQueue(service.supervisor)
+
+    def operator_lost() -> None:
+        queue.pause("the operator has left")
+        service.supervisor.operator_gone()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        tasks = [asyncio.create_task(watch_operator(of.lease, service.supervisor))]
+        queue.open()
+        tasks = [asyncio.create_task(watch_operator(of.lease, operator_lost))]
         if gateway is not None:
             tasks.append(asyncio.create_task(gateway.run(targets.receive)))
         yield
         for task in tasks:
             task.cancel()
+        await asyncio.to_thread(queue.close)
         await app.state.scene.aclose()
         stopping.shutdown()
 
@@ -254,6 +267,7 @@ def build_app(
     if gateway is not None and gateway.options.igtl is not None:
         app.include_router(gateway_routes(targets, of))
     app.include_router(calibration_routes(calibration, of))
+    app.include_router(queue_routes(service, queue, of))
     app.include_router(runs_routes(RunHistory(runs), of))
     app.include_router(renamed_routes())
     app.include_router(routes)

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FrameType
 
 from station.cli.main import execute, parser
-from station.cli.options import data_folder, seed
+from station.cli.options import add_without, data_folder, seed
 from web.gateway.options import FOXGLOVE_PORT, IGTL_PORT, ZENOH_PORT, GatewayOptions, ListenAddress, address_of
 
 #: Signals that end the station in an orderly way.
@@ -26,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     serve.add_argument(
         "--lab", metavar="LAB", help="virtual lab: gentle, realistic, ..., or .toml file (default: gentle)"
     )
+    add_without(serve)
     serve.add_argument("--robot", metavar="ROBOT", help="robot: preset or .toml file (default: paper)")
     serve.add_argument(
         "--seed", type=seed, metavar="N", help="seed of all random numbers of the virtual lab (default: 0)"
@@ -52,7 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _serve(parsed: argparse.Namespace) -> int:
     known = None if parsed.calibration is None else str(parsed.calibration.absolute())
-    given = {"robot": parsed.robot, "lab": parsed.lab, "seed": parsed.seed, "calibration": known}
+    given = {
+        "robot": parsed.robot,
+        "lab": parsed.lab,
+        "seed": parsed.seed,
+        "calibration": known,
+        "without": parsed.without or None,
+    }
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
     with _exit_on_signal():

@@ -123,6 +123,28 @@ def command(
     return found
 
 
+def joint_command(limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array) -> CommandResult:
+    """Return the requested joint velocity (n,) inside the limits, under the estimated `force` (3,) on the tip [N].
+
+    Each joint can stop in its travel. A limit of several joints slows all joints by the same factor, which keeps the
+    path in joint space.
+
+    Raises:
+        ContractError: a custom limit raised, or returned a value that violates its interface.
+
+    """
+    lower, upper = limits.velocity_bounds(joints)
+    velocity = np.minimum(np.maximum(requested, lower), upper)
+    at_bound, at_row = np.sign(requested - velocity), NO_BOUNDS
+    if limits.others and velocity.any():
+        rows, room = limits.rows(_CurrentConfiguration(joints, now, force))
+        toward = rows @ velocity
+        at_row = (toward > room).astype(float)
+        if at_row.any():
+            velocity = velocity * np.min(room[at_row > 0.0] / toward[at_row > 0.0])
+    return CommandResult(velocity, np.zeros(3), np.zeros(min(3, requested.size)), at_bound, at_row)
+
+
 class _CurrentConfiguration:
     """State of the robot in one tick, for limits; Jacobian and tip are computed only when a limit reads them."""
 

@@ -14,6 +14,7 @@ the Jacobian by the joints q, C the compliance, w the load on the tip, and X the
 |---|---|
 | `type_1` | J(q, 0) q' = U - d(Delta_total)/dt, eq. (24); the filtered rate contains q' of earlier ticks |
 | `type_1_exact` | J(q, w) q' = U - C w': the same equation solved for q' |
+| `unloaded`, `loaded` | J(q, 0) q' = U, J(q, w) q' = U: without compensation of the tip motion that the load causes |
 | `type_2` | J(q, w) q' = U - (X' - J(q, w) q'), eq. (29); X' is the tip's velocity from observer or tracker frames |
 """
 
@@ -204,7 +205,9 @@ type_1_exact = InnerLaw(TYPE_1_EXACT)
 type_2 = InnerLaw(TYPE_2)
 
 #: Inner loops of strategies (c) and (d) by name.
-INNER_LOOPS: dict[str, InnerLoop] = {"type_1": type_1, "type_1_exact": type_1_exact, "type_2": type_2}
+INNER_LOOPS: dict[str, InnerLoop] = {
+    "type_1": type_1, "type_1_exact": type_1_exact, "type_2": type_2, "loaded": loaded, "unloaded": unloaded,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

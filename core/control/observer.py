@@ -46,6 +46,14 @@ class FilteredRate(NamedTuple):
     rate: Array  #: (3,) rate of change of the filtered deflection [m/s]
 
 
+#: Results of `steady_gain` for the period [s] and the bandwidths [Hz] of the presets: importing filterpy, and with it
+#: scipy.stats, takes a quarter of the processor time of a station's start.
+USUAL_GAINS = {
+    (0.002, 1.0): (0.01761454939670001, 0.07825835113622626),
+    (0.002, 10.0): (0.16281926682410866, 7.224359426340568),
+}
+
+
 @dataclass(frozen=True)
 class RateFilter:
     """Steady-state Kalman filter for a quantity and its rate of change.
@@ -62,7 +70,8 @@ class RateFilter:
         nyquist = 0.5 / self.period
         if not 0.0 < self.bandwidth < nyquist:
             raise DescriptionError(f"filter bandwidth {self.bandwidth:g} Hz is outside 0 ... {nyquist:g} Hz")
-        object.__setattr__(self, "gain", _steady_gain(self.period, self.bandwidth))
+        gain = USUAL_GAINS.get((self.period, self.bandwidth)) or steady_gain(self.period, self.bandwidth)
+        object.__setattr__(self, "gain", gain)
 
     def start(self, measured: Array) -> FilteredRate:
         """Return the filter's state for a constant quantity with the measured value (3,)."""
@@ -109,7 +118,7 @@ def gains(period: float, bandwidth: float) -> tuple[float, float]:
 
 
 @cache
-def _steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
+def steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
     """Return the Kalman gains for value [1] and rate [1/s] by running filterpy's recursion until it converges."""
     from filterpy.common import Q_continuous_white_noise  # pyright: ignore
     from filterpy.kalman import KalmanFilter  # pyright: ignore

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.command import OBSERVER_DRIFT, CommandResult, command
+from core.control.command import OBSERVER_DRIFT, command, joint_command
 from core.control.controllers import FeedbackOptions, Strategy, Task, TaskInputs, custom_rows
+from core.control.deflection_force import TUBE_ERROR, DeflectionForce, start_deflection, update_deflection
 from core.control.estimation import FRAME_USED, Estimate, Estimator, perceive
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
@@ -31,7 +32,6 @@ from core.control.tip_direction import (
 )
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
 from core.control.trajectories import JointMotion, Setpoint
-from core.control.velocity_ik import NO_BOUNDS
 from core.errors import DescriptionError, NotFinite
 from core.model.solution import pure_force
 from core.model.statics import Statics
@@ -60,6 +60,7 @@ class ControllerState(NamedTuple):
     direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is estimated
     slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
     zeros: SensorZeros | None = None  #: drift of the base sensors' zeros since the tare, if it is tracked
+    deflection: DeflectionForce | None = None  #: force from the deflection, if there is a tracker
 
 
 class Tick(NamedTuple):
@@ -107,6 +108,12 @@ class Controller:
     null_space: NullSpaceObjective | None = None
     #: True: the tip's direction is estimated even if it is not controlled; a calibration needs this estimate.
     watches: bool = False
+    #: False: the bench has no tracker, and the model's tip takes the place of the measured tip.
+    tracked: bool = True
+    #: False: the bench has no force sensors, and the force from the deflection takes the place of the measured force.
+    senses: bool = True
+    #: Standard deviation of the model's deflection relative to the deflection, for the force from the deflection.
+    tube_error: float = TUBE_ERROR
 
     def __post_init__(self) -> None:
         n = len(self.limits.joints)
@@ -167,28 +174,30 @@ class Controller:
 
 
 def start_controller(controller: Controller, sample: Sample) -> ControllerState:
-    """Return the controller's state before the first tick; the sample must contain a tracker frame.
+    """Return the controller's state before the first tick; with a tracker the sample must contain a frame.
 
     Raises:
         PoseError, NoSolution, NotFinite: the model cannot start from this sample.
 
     """
-    if sample.tip is None or not np.isfinite(sample.tip).all():
+    if controller.tracked and (sample.tip is None or not np.isfinite(sample.tip).all()):
         raise NotFinite(f"measured tip {sample.tip} m: a finite tracker frame is needed to start")
     unloaded = controller.statics.solve(sample.joints, _NO_LOAD)
     right = _corrected(controller, sample, unloaded.rotation)
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
     loaded = controller.statics.solve(right.joints, pure_force(load.force))
-    tip = sample.tip if right.tip is None else right.tip
+    tip = loaded.tip.copy() if right.tip is None else right.tip
     zeros = start_zeros(len(sample.wrenches)) if controller.estimator.load.tracks_zeros else None
-    return ControllerState(controller.estimator.start(loaded, unloaded, load.force, tip), tip, tip, zeros=zeros)
+    deflection = start_deflection(unloaded, tip - loaded.tip) if controller.tracked else None
+    estimate = controller.estimator.start(loaded, unloaded, load.force, tip)
+    return ControllerState(estimate, tip, tip, zeros=zeros, deflection=deflection)
 
 
 def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
     """Start a motion at rest after a tare: setpoints of this motion are relative to `origin` (3,) [m].
 
     The tare has changed the zero of the force, so the estimates restart without load, and the deflection's parts of
-    eq. (22) start at zero.
+    eq. (22) start at zero. The force from the deflection starts at zero, too.
     """
     free, direction = memory.estimate.unloaded, memory.direction
     if direction is not None:
@@ -196,7 +205,8 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
         direction = started._replace(measured_once=direction.measured_once)
     estimate = controller.estimator.start(free, free, np.zeros(3), origin)
     zeros = start_zeros(len(memory.zeros.values)) if memory.zeros is not None else None
-    return memory._replace(estimate=estimate, origin=origin, direction=direction, zeros=zeros)
+    deflection = start_deflection(free, origin - free.tip) if memory.deflection is not None else None
+    return memory._replace(estimate=estimate, origin=origin, direction=direction, zeros=zeros, deflection=deflection)
 
 
 def restart_setpoints_here(memory: ControllerState) -> ControllerState:
@@ -228,7 +238,18 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     )  # fmt: skip
     if zeros is not None and sample.tip is not None:
         zeros = _updated_zeros(controller, zeros, load, now)
+    deflection = memory.deflection
+    if deflection is not None and sample.tip is not None:
+        deflection = update_deflection(
+            controller.statics, deflection, sample.joints, now.unloaded, now.observed, controller.tube_error
+        )
+    force = now.force
+    if not controller.senses and deflection is not None:
+        force = deflection.force
+        load = FusedLoad(force, np.zeros(3))
     tip, tracked, drift = memory.tip if sample.tip is None else sample.tip, memory.tracked, OBSERVER_DRIFT
+    if not controller.tracked:
+        tip = now.loaded.tip
     if controller.differentiates:
         known = now.known
         by_joints = known.velocity_observed - known.load_rate - known.drift
@@ -249,13 +270,14 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
             )
         found = command(
             controller.strategy, controller.feedback, limits,
-            sample.joints, now, now.force, order, tip, memory.origin, drift,
+            sample.joints, now, force, order, tip, memory.origin, drift,
             controller.aim, tasks, null_space,
         )  # fmt: skip
     else:
         # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity
-        found, order = _joint_motion(limits, sample.joints, velocity), Setpoint(tip - memory.origin, np.zeros(3))
+        found = joint_command(limits, sample.joints, now, force, velocity)
+        order = Setpoint(tip - memory.origin, np.zeros(3))
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # earlier frames were checked in earlier ticks
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
         raise NotFinite(
@@ -263,7 +285,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros),
+        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection),
     )  # fmt: skip
 
 
@@ -290,14 +312,6 @@ def _direction_estimate(
         direction = start_direction(controller.estimator, axis, direction)
         return direction._replace(measured_once=sample.direction is not None)
     return update_direction(controller.estimator, last, now, now.force, sample.direction, sample.tip_age)
-
-
-def _joint_motion(limits: Limits, joints: Array, requested: Array) -> CommandResult:
-    """Return the requested joint velocity (n,), limited so that joints at `joints` (n,) can stop in their travel."""
-    lower, upper = limits.velocity_bounds(joints)
-    velocity = np.minimum(np.maximum(requested, lower), upper)
-    at_bound = np.sign(requested - velocity)
-    return CommandResult(velocity, np.zeros(3), np.zeros(min(3, requested.size)), at_bound, NO_BOUNDS)
 
 
 def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sample:

@@ -180,7 +180,7 @@ def estimate_force(
     now[MISMATCH, 1] = last[MISMATCH, 1] + part * (my - (z * fx - x * fz) - last[MISMATCH, 1])
     now[MISMATCH, 2] = last[MISMATCH, 2] + part * (mz - (x * fy - y * fx) - last[MISMATCH, 2])
     inverse, left = np.empty(6), now[MISMATCH]
-    _invert(
+    invert_symmetric(
         across + a * (y * y + z * z), -a * x * y, -a * x * z, across + a * (x * x + z * z), -a * y * z,
         about + a * (x * x + y * y), inverse,
     )  # fmt: skip
@@ -188,7 +188,7 @@ def estimate_force(
     trust = moments * (1.0 if misfit <= FITS else (FITS / misfit) ** 2)
     # Solve the normal equations of the generalised least squares.
     u, v = trust / across, trust / about
-    _invert(
+    invert_symmetric(
         1.0 / a + u * z * z + v * y * y, -v * x * y, -u * x * z, 1.0 / a + u * z * z + v * x * x, -u * y * z,
         1.0 / a + u * (x * x + y * y), inverse,
     )  # fmt: skip
@@ -223,7 +223,7 @@ def estimate_force(
 
 
 @compiled
-def _invert(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, inverse: Array) -> None:
+def invert_symmetric(xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, inverse: Array) -> None:
     """Write the inverse of a symmetric matrix to `inverse` (6,), in the order xx, xy, xz, yy, yz, zz."""
     a, b, c = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     scale = 1.0 / (xx * a + xy * b + xz * c)

@@ -42,6 +42,8 @@ def wire(seconds: float = 20.0) -> dict[str, Any]:
     lab = SimulatedBench(robot, config, 0, START_JOINTS, homed=True)
     devices = drivers(lab)
     stages, tracker, sensors = devices.stages, devices.tracker, devices.sensors
+    assert tracker is not None, "the default lab has a tracker"  # noqa: S101
+    assert sensors is not None, "the default lab has force sensors"  # noqa: S101
     now = 0.0
 
     def velocities() -> np.ndarray:

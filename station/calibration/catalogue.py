@@ -8,6 +8,7 @@ from station.calibration import commission, procedures
 from station.calibration.plan import PlanSubject
 from station.calibration.procedure import Procedure
 from station.calibration.procedures import Effort
+from station.config.controllers import Present
 
 #: Known weights that a procedure uses if no others are configured [N].
 DEFAULT_WEIGHTS_N = Effort().weights
@@ -23,6 +24,12 @@ class ProcedureInfo(NamedTuple):
     weight_seconds: float  #: part of `seconds` that each weight takes [s]
     scales: bool  #: whether the number of poses depends on the effort
     start_procedure: Callable[[PlanSubject, Effort], Procedure[Any]]
+    needs_sensors: bool = False  #: whether the procedure needs force sensors; every procedure needs a tracker
+
+    def missing(self, present: Present) -> str:
+        """Return which devices of the procedure a bench lacks, as a text; empty if it has all."""
+        tracker = "" if present.tracker else "needs a tracker"
+        return tracker or ("needs force sensors" if self.needs_sensors and not present.sensors else "")
 
     @property
     def weighs(self) -> bool:
@@ -55,7 +62,7 @@ PROCEDURES: Mapping[str, ProcedureInfo] = {
     "force": ProcedureInfo(
         "Force sensors",
         "After a force sensor was mounted: finds its orientation and hanging weight, checked with known weights.",
-        "known weights, and a thread to hang them at the tip", 740.0, 260.0, True, procedures.force,
+        "known weights, and a thread to hang them at the tip", 740.0, 260.0, True, procedures.force, needs_sensors=True,
     ),
     "tubes": ProcedureInfo(
         "Tubes, tracker and sensors",

@@ -75,9 +75,10 @@ def write_all(
             files.write_registration(
                 folder, subject.robot, tubes.frames, tubes.fit, tubes.errors, assumed, made, result.axis
             ),
-            files.write_sensors(folder, subject.robot, result.sensors, made),
             files.write_robot(folder, subject.file, tubes, made),
         ]
+        if result.sensors is not None:
+            written.append(files.write_sensors(folder, subject.robot, result.sensors, made))
     if written and known is not None:
         written += files.carry_over(known, folder)
     measurements = [*getattr(result, "measurements", ()), *getattr(result, "check_measurements", ())]

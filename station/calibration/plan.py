@@ -25,12 +25,13 @@ class PlanSubject:
     limits: Limits
     statics: Statics
     start: Array  #: (n,) rest position before and after the procedure [rad or m]
+    senses: bool = True  #: whether the bench has force sensors
 
     @classmethod
-    def of(cls, file: RobotFile, start: Array) -> "PlanSubject":
+    def of(cls, file: RobotFile, start: Array, *, senses: bool = True) -> "PlanSubject":
         """Return the subject that a robot file describes, with the model that the controller uses."""
         robot = file.robot()
-        return cls(file, robot, file.limits(), Statics(robot), start)
+        return cls(file, robot, file.limits(), Statics(robot), start, senses)
 
     def tour(
         self, what: tuple[Quantity, ...], force: Array, count: int, known: Array | None, start: Array

@@ -76,8 +76,8 @@ class TubesResult(NamedTuple):
     """Result of the procedure `tubes`."""
 
     calibration: TubeCalibration
-    sensors: SensorCalibration
-    checks: tuple[tuple[float, WeightCheck], ...]
+    sensors: SensorCalibration | None  #: None: the bench has no force sensors
+    checks: tuple[tuple[float, WeightCheck], ...]  #: empty without force sensors
     held_out_errors: HeldOutErrors  #: errors at all check measurements, which no fit used
     held_out_loaded: HeldOutErrors
     held_out_believed: Array  #: (k,) errors under load with the frames and tubes assumed before the calibration [m]
@@ -126,7 +126,8 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
     """Find sensors, frames and tubes together, from poses without load and under known weights.
 
     The sensors need the tip's position for the moment equation, and the tubes need the sensors' forces. So the sensors
-    are fitted approximately first, then the tubes, then the sensors with the improved tip, and the tubes again.
+    are fitted approximately first, then the tubes, then the sensors with the improved tip, and the tubes again. Without
+    force sensors the tubes are fitted once, with the known weights as forces.
 
     Raises:
         UnobservableCombination: the poses inside the limits do not determine the parameters.
@@ -135,15 +136,17 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
     visited, visited_check = yield from _visits(subject, effort)
     measurements, check = _positions_only(visited), _positions_only(visited_check)
     robot = subject.robot
-    free = [measurement for measurement in measurements if measurement.weight == 0.0]
-    initial = register(robot, free, np.zeros((len(free), 3)), MEASUREMENT_NOISE, subject.limits)
-    tips = _tips(subject, initial.frames, measurements, np.zeros((len(measurements), 3)))
-    sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, UNCALIBRATED_TIP_STD_M)
-    sags = _sags(subject, measurements)
-    found = calibrate_tubes(robot, measurements, _forces(subject, sensors, measurements), MEASUREMENT_NOISE, sags=sags)
-    fitted = replace(subject, robot=found.robot)
-    tips = _tips(fitted, found.frames, measurements, _forces(subject, sensors, measurements))
-    sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, CALIBRATED_TIP_STD_M)
+    sags, sensors = _sags(subject, measurements), None
+    if subject.senses:
+        free = [measurement for measurement in measurements if measurement.weight == 0.0]
+        initial = register(robot, free, np.zeros((len(free), 3)), MEASUREMENT_NOISE, subject.limits)
+        tips = _tips(subject, initial.frames, measurements, np.zeros((len(measurements), 3)))
+        sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, UNCALIBRATED_TIP_STD_M)
+        forces = _forces(subject, sensors, measurements)
+        found = calibrate_tubes(robot, measurements, forces, MEASUREMENT_NOISE, sags=sags)
+        fitted = replace(subject, robot=found.robot)
+        tips = _tips(fitted, found.frames, measurements, forces)
+        sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, CALIBRATED_TIP_STD_M)
     forces = _forces(subject, sensors, measurements)
     found = calibrate_tubes(robot, measurements, forces, MEASUREMENT_NOISE, sags=sags)
     check_forces = _forces(subject, sensors, check)
@@ -163,7 +166,7 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
     heavy = [measurement for measurement, w in zip(check, loaded, strict=True) if w]
     expected = _assumed_model(subject, heavy, check_forces[loaded]).tip
     believed: Array = np.linalg.norm(np.array([measurement.coil for measurement in heavy]) - expected, axis=1)
-    checks = _weight_checks(subject, sensors, measurements, effort)
+    checks = () if sensors is None else _weight_checks(subject, sensors, measurements, effort)
     axis = _coil_axis(found.robot, found.frames, visited, forces)
     return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(visited), tuple(visited_check), axis)
 
@@ -212,10 +215,12 @@ def _coil_axis(robot: Robot, frames: Frames, measurements: Sequence[Measurement]
     return coil_axis(predict(robot, measurements, forces).complete().rotation, measured)
 
 
-def _forces(subject: PlanSubject, sensors: SensorCalibration, measurements: Sequence[Measurement]) -> Array:
+def _forces(subject: PlanSubject, sensors: SensorCalibration | None, measurements: Sequence[Measurement]) -> Array:
     """Return tip forces (m, 3) [N]: the known weight, or the measured force where the weight is unknown."""
     return np.array([
-        sensors.load(subject.robot, measurement).force if measurement.weight is None else measurement.weight * GRAVITY
+        sensors.load(subject.robot, measurement).force
+        if sensors is not None and measurement.weight is None
+        else (measurement.weight or 0.0) * GRAVITY
         for measurement in measurements
     ])  # fmt: skip
 

@@ -59,7 +59,7 @@ def rows(result: Result, subject: PlanSubject) -> list[Row]:
         *tube_rows(tubes, subject.robot),
         *frame_rows(tubes.fit, tubes.frames),
         *_axis_rows(result.axis),
-        *_sensors(result.sensors, subject.robot),
+        *([] if result.sensors is None else _sensors(result.sensors, subject.robot)),
     ]
 
 
@@ -101,7 +101,7 @@ def findings(result: Result) -> list[str]:
         *_checks(result.checks),
         *_axis_sentence(result.axis),
         *_weak(result.calibration.fit),
-        *_undetermined(result.sensors.fit),
+        *([] if result.sensors is None else _undetermined(result.sensors.fit)),
     ]
 
 
@@ -120,7 +120,8 @@ def numbers(result: Result, subject: PlanSubject) -> dict[str, Any]:
         summary["weights"] = _weights(result.checks)
     elif isinstance(result, TubesResult):
         summary["parameters"] = _parameters(result.calibration.fit)
-        summary["sensor_parameters"] = _parameters(result.sensors.fit)
+        if result.sensors is not None:
+            summary["sensor_parameters"] = _parameters(result.sensors.fit)
         summary["weights"] = _weights(result.checks)
         summary["rms_m"] = math.sqrt(float(np.mean(result.calibration.errors**2)))
         summary["held_out_loaded_mean_m"] = {

@@ -41,6 +41,7 @@ class CalibrationJob(NamedTuple):
     when: str  #: date and time, ISO 8601
     folder: Path  #: folder for the results, which is created with the first file
     known: Path | None  #: folder of the calibration in use; missing files are copied from it
+    senses: bool = True  #: whether the bench has force sensors
 
 
 class JobFinished(NamedTuple):
@@ -70,7 +71,7 @@ def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
 
 
 def _run_procedure(job: CalibrationJob, pipe: Connection) -> None:
-    subject = PlanSubject.of(job.robot, job.start)
+    subject = PlanSubject.of(job.robot, job.start, senses=job.senses)
     guided, time = GuidedProcedure(start_procedure(job.what, subject, job.effort, job.weights)), 0.0
     while guided.step is not None:
         pipe.send(guided.step)

@@ -21,7 +21,7 @@ SERVICE_FILE = Path("/etc/systemd/system/ctr-station.service")
 USB_SERIAL = Path("/sys/bus/usb-serial/devices")
 #: Real-time priority of the control loop (`request_fifo`).
 PRIORITY = 50
-README = "station/machine/README.md"
+README = str(MACHINE_FOLDER / "README.md")
 
 
 class MachineFinding(NamedTuple):

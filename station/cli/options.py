@@ -36,6 +36,14 @@ def move_command_first(arguments: Sequence[str], commands: Container[str], meant
     return list(arguments)
 
 
+def add_without(command: argparse.ArgumentParser) -> None:
+    """Add the option `--without` to a command that drives a virtual lab."""
+    command.add_argument(
+        "--without", action="append", choices=("tracker", "sensors"),
+        help="leave this device of the virtual lab out; may be repeated",
+    )  # fmt: skip
+
+
 def progress_bar(over: float = 30.0) -> Progress:
     """Return a progress bar for terminals; it estimates the remaining time from the pace of the last `over` [s]."""
     console = Console(stderr=True, highlight=False)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from station.cli.options import command_line_path, count, data_folder, progress_bar, seed
+from station.cli.options import add_without, command_line_path, count, data_folder, progress_bar, seed
 
 if TYPE_CHECKING:
     from station.experiments.experiment import Experiment
@@ -30,6 +30,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run.add_argument("--calibration", type=Path, metavar="DIR", help="folder with the results of 'calibrate'")
     run.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     run.add_argument("--robot", metavar="ROBOT", help="robot instead of the experiment's: preset or .toml file")
+    add_without(run)
     run.add_argument("--case", metavar="NAME", help="only this case of the experiment")
     run.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
@@ -77,7 +78,9 @@ def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> in
     changes = nested(
         (*chosen[0], *((key, command_line_path(value)) for key, value in given.items() if value is not None))
     )
-    experiment = load_experiment(parsed.experiment, changes).only(parsed.case)
+    if parsed.without:
+        changes = {**changes, "without": parsed.without}
+    experiment = load_experiment(parsed.experiment, changes, only=parsed.case)
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
             sys.stderr.write(f"ctr-station: {warning}\n")

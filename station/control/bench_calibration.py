@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from core.calibration.rigid_transform import rotation_from_vector, vector_from_rotation
+from core.control.deflection_force import CALIBRATED_TUBE_ERROR
 from core.control.sensors import Corrections, Sensors
 from core.control.step import Controller
 from core.control.tip_force import CALIBRATED_GAIN
@@ -85,6 +86,7 @@ class BenchCalibration:
     registration: TrackerMounting | None
     corrections: Corrections
     folder: Path | None = None  #: folder that the calibration was read from
+    fitted_tubes: bool = False  #: whether the tubes were calibrated
 
     @classmethod
     def load(cls, folder: Path, described: RobotFile) -> "BenchCalibration":
@@ -113,7 +115,7 @@ class BenchCalibration:
         found = Sensors.ideal(len(robot.tubes))
         if sensors.is_file():
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
-        return cls(file, registration, Corrections(found, coil, axis), folder)
+        return cls(file, registration, Corrections(found, coil, axis), folder, own.is_file())
 
     @property
     def mount(self) -> dict[str, list[float]] | None:
@@ -124,13 +126,17 @@ class BenchCalibration:
         return {"position": self.registration.position.tolist(), "rotation_vector": turn.tolist()}
 
     def applied(self, controller: Controller) -> Controller:
-        """Return the controller with corrections of coil and sensors; calibrated gains get a smaller assumed error."""
+        """Return the controller with corrections of coil and sensors.
+
+        Calibrated gains of the sensors and calibrated tubes get smaller assumed errors.
+        """
         estimator = controller.estimator
         skew = self.corrections.sensors.skew
         if skew is not None and skew.any():
             errors = replace(estimator.load.errors, gain=CALIBRATED_GAIN)
             estimator = replace(estimator, load=replace(estimator.load, errors=errors))
-        return replace(controller, corrections=self.corrections, estimator=estimator)
+        tube_error = CALIBRATED_TUBE_ERROR if self.fitted_tubes else controller.tube_error
+        return replace(controller, corrections=self.corrections, estimator=estimator, tube_error=tube_error)
 
 
 def _axis(axis: tuple[float, float, float], path: Path) -> Array:

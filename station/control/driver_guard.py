@@ -122,8 +122,8 @@ def guard_drivers(devices: Devices, bench: BenchFile, calls: DriverCalls, robot:
     """Return the devices, with guards around those of installed drivers."""
 
     def watched(index: int, kind: DeviceKind) -> Any:
-        device = getattr(devices, kind)
-        if getattr(bench, kind)["driver"] in BUILT_IN_DRIVERS[kind]:
+        device = devices.by_kind.get(kind)
+        if device is None or getattr(bench, kind)["driver"] in BUILT_IN_DRIVERS[kind]:
             return device
         return _GuardedDriver(
             device, _guarded(index, bench), partial(calls.call, index), lambda value: _POLLED[index](value, robot)

@@ -6,6 +6,8 @@ has no clock: its caller passes the time, real or virtual.
 
 from dataclasses import replace
 
+import numpy as np
+
 from core.control.step import (
     Controller,
     ControllerState,
@@ -21,7 +23,6 @@ from core.robot.robot import Array
 from station.control.follow import TargetTrack
 from station.control.monitors import (
     EVENT_BY_SEVERITY,
-    NO_FAULT,
     Margins,
     ProgressMonitor,
     SnapMonitor,
@@ -79,7 +80,7 @@ class ControlLoop:
         self._margins = margins or Margins()
         self._memory: ControllerState | None = None
         self._row: Array | None = None
-        self._troubles = NO_FAULT
+        self._troubles = devices.no_fault
         self._jog: Jog | None = None
         self._after_homing: MotionTask | None = None  # task to start after homing
         self._motion: TimedMotion | StreamedMotion | TargetTrack | None = None  # motion of the task in progress
@@ -89,6 +90,7 @@ class ControlLoop:
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
         self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
         self._target = TargetTrack()
+        self._no_wrenches = np.zeros((len(controller.statics.robot.tubes), 6))  # of a bench without force sensors
 
     @property
     def cause(self) -> str:
@@ -152,7 +154,11 @@ class ControlLoop:
             self.request(Transition.RESET)
             self._connect(now)
             return
-        wrong = [d for d in (self.devices.tracker, self.devices.sensors) if blocks_motion(d.trouble(now))]
+        wrong = [
+            device
+            for kind, device in self.devices.by_kind.items()
+            if kind != "stages" and blocks_motion(device.trouble(now))
+        ]
         self.request(Transition.RECONNECT if wrong else Transition.RESET)
         for device in wrong:
             device.connect(now)
@@ -199,8 +205,10 @@ class ControlLoop:
         """Tare the force sensors with the mean of their next readings.
 
         Raises:
-            RefusedError: the state is not READY, so the robot may move.
+            RefusedError: the bench has no force sensors, or the state is not READY, so the robot may move.
         """
+        if self.devices.sensors is None:
+            raise RefusedError("'tare' is not possible: this bench has no force sensors")
         if self.state is not State.READY:
             raise RefusedError(f"'tare' is not possible while {self.state.name}; it needs READY")
         self._rest = SettlePhase(now)
@@ -247,9 +255,9 @@ class ControlLoop:
         if self.state is State.OFF and stages.condition is Condition.CLOSED:
             return None
         joints = stages.poll(now)
-        frame = devices.tracker.poll(now)
-        wrenches = devices.sensors.poll(now)
-        if frame is not None:
+        frame = None if devices.tracker is None else devices.tracker.poll(now)
+        wrenches = WrenchReading(now, self._no_wrenches) if devices.sensors is None else devices.sensors.poll(now)
+        if frame is not None or devices.tracker is None:
             self._frame_at = now
         self._target.update(now, frame)
         fault = self._check_devices(now)
@@ -267,7 +275,7 @@ class ControlLoop:
         sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age, direction)
         try:
             if self._memory is None:
-                if frame is None or not wrenches.usable:
+                if (frame is None and devices.tracker is not None) or not wrenches.usable:
                     return self._frozen_row(now, joints, wrenches)
                 self._memory = start_controller(self.controller, sample)
             tick = step(self.controller, self._memory, sample, order)
@@ -296,7 +304,7 @@ class ControlLoop:
 
     def _connect(self, now: float) -> None:
         self._memory, self._tare = None, None
-        for device in (self.devices.stages, self.devices.tracker, self.devices.sensors):
+        for device in self.devices.by_kind.values():
             device.connect(now)
 
     def _check_devices(self, now: float) -> DeviceFault | None:
@@ -321,16 +329,14 @@ class ControlLoop:
         if (
             self.state is State.CONNECTING
             and fault is None
-            and all(
-                device.condition is Condition.CONNECTED
-                for device in (self.devices.stages, self.devices.tracker, self.devices.sensors)
-            )
+            and all(device.condition is Condition.CONNECTED for device in self.devices.by_kind.values())
         ):
             self.request(Transition.CONNECTED)
         elif self.state is State.CONNECTING and now >= self._retry:
             self._retry = now + RECONNECT_INTERVAL_S
-            if self.devices.tracker.condition is Condition.FAULT:
-                self.devices.tracker.connect(now)
+            tracker = self.devices.tracker
+            if tracker is not None and tracker.condition is Condition.FAULT:
+                tracker.connect(now)
         if self.state in (State.CONNECTED, State.HOMING) and self.devices.stages.ready:
             self.request(Transition.HOMED)
         elif self.state is State.HOMING and stages is Condition.CONNECTED:
@@ -402,6 +408,8 @@ class ControlLoop:
     ) -> bool:
         """Set tare, start tip and motion from the measurements at rest; return False without a tracker frame."""
         tip, self._rest = rest.tip, None
+        if self.devices.tracker is None and self._memory is not None:
+            tip = self._memory.tip
         if tip is None or self._memory is None:
             text = f"the tracker measured no position within {AVERAGE_S:g} s; is the coil inside its volume?"
             self._act_on(DeviceFault(Severity.HOLD, text), now)

@@ -241,8 +241,6 @@ def _overrun(severity: Severity, what: str, slow: str) -> DeviceFault:
     return DeviceFault(severity, too_busy(f"{what}, and all axes were stopped"), load())
 
 
-#: Severities of stages, tracker and force sensors while no device has a fault.
-NO_FAULT = (0, 0, 0)
 #: Transition that a fault of each severity causes.
 EVENT_BY_SEVERITY = MappingProxyType(
     {Severity.HOLD: Transition.HOLD, Severity.STOP: Transition.STOP, Severity.FAULT: Transition.FAULT}
@@ -250,19 +248,26 @@ EVENT_BY_SEVERITY = MappingProxyType(
 
 
 def device_faults(devices: Devices, now: float) -> tuple[tuple[int, int, int], DeviceFault | None]:
-    """Return the severities of stages, tracker and force sensors at `now` [s] (0: no fault), and the worst fault.
+    """Return the severities of stages, tracker and force sensors at `now` [s], and the worst fault.
 
-    Of equal faults the first counts.
+    The severity is 0 without a fault, and `ABSENT` without the device. Of equal faults the first counts.
     """
-    found = devices.stages.trouble(now), devices.tracker.trouble(now), devices.sensors.trouble(now)
+    tracker, sensors = devices.tracker, devices.sensors
+    found = (
+        devices.stages.trouble(now),
+        None if tracker is None else tracker.trouble(now),
+        None if sensors is None else sensors.trouble(now),
+    )
     worst = None
     for fault in found:
         if fault is not None and (worst is None or fault.severity > worst.severity):
             worst = fault
     if worst is None:
-        return NO_FAULT, None
-    stages, tracker, sensors = (0 if fault is None else int(fault.severity) for fault in found)
-    return (stages, tracker, sensors), worst
+        return devices.no_fault, None
+    first, second, third = (
+        none if fault is None else int(fault.severity) for fault, none in zip(found, devices.no_fault, strict=True)
+    )
+    return (first, second, third), worst
 
 
 def blocks_motion(trouble: DeviceFault | None) -> bool:

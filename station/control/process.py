@@ -20,7 +20,7 @@ from station.control.child_process import StationLife
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.driver_guard import DriverCalls, DriverError, guard_drivers
 from station.control.loop import ControlLoop
-from station.control.messages import Command, CommandRefused, DeviceName, DeviceReport, DeviceStatus, Reply, StateNotice
+from station.control.messages import Command, CommandRefused, DeviceReport, DeviceStatus, Reply, StateNotice
 from station.control.monitors import Margins, OverrunLimits, Overruns
 from station.control.realtime import is_dying, load, request_realtime, set_process_name, too_busy
 from station.control.ring import DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
@@ -302,8 +302,7 @@ class _LiveLoop:
 
 def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
     found: list[DeviceStatus] = []
-    names: tuple[DeviceName, ...] = ("stages", "tracker", "sensors")
-    for name, device in zip(names, (devices.stages, devices.tracker, devices.sensors), strict=True):
+    for name, device in devices.by_kind.items():
         trouble = device.trouble(now)
         severity, text = (0, "") if trouble is None else (int(trouble.severity), str(trouble))
         found.append(
@@ -314,6 +313,6 @@ def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
 
 def _close(devices: Devices) -> None:
     """Close every device, even if another one fails."""
-    for device in (devices.stages, devices.tracker, devices.sensors):
+    for device in devices.by_kind.values():
         with contextlib.suppress(CtrError, OSError):
             device.close()

@@ -16,7 +16,7 @@ from core.model.solution import PASSES, STABILITY, fields
 from core.robot.robot import Array, Robot
 from station.control.states import State
 from station.control.task import StreamRequest
-from station.devices.interfaces import GroundTruth, JointReading, Severity, TipReading, WrenchReading
+from station.devices.interfaces import ABSENT, GroundTruth, JointReading, Severity, TipReading, WrenchReading
 
 XYZ = ("x", "y", "z")
 
@@ -72,9 +72,11 @@ class Channels:
 
         Between tracker frames `tip_new` is 0 and the values of the last frame are repeated. Without a virtual lab there
         is no ground truth: `truth_known` and the true channels are 0. `phase` is a `task.Phase`, 0 without a run.
-        `troubles` are the severities of faults of stages, tracker and force sensors, 0 without a fault. `request` is
-        the latest setpoint request for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity.
-        `target` (14,) is from `TargetTrack.numbers`; without it the channels of the target are 0.
+        `troubles` are the severities of faults of stages, tracker and force sensors: 0 without a fault, `ABSENT`
+        without the device; the channels of an absent device have no meaning. Without force sensors the channels
+        `FORCE_CHANNELS` are the force from the deflection. `request` is the latest setpoint request
+        for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity. `target` (14,) is from
+        `TargetTrack.numbers`; without it the channels of the target are 0.
         """
         memory, now = tick.memory, tick.memory.estimate
         true_tip, true_force, *_ = truth or _NO_TRUTH
@@ -92,7 +94,11 @@ class Channels:
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
             kind, setpoint.time, position, setpoint.velocity,
             _directions(tick, truth), _NO_TARGET if target is None else target,
+            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]),
         )  # fmt: skip
+        if sensors == ABSENT and memory.deflection is not None:
+            self.of(row, "force_filtered")[:] = memory.deflection.force
+            self.of(row, "force_variance")[:] = memory.deflection.covariance[[0, 3, 5]]
         return row
 
     def frozen_row(
@@ -138,6 +144,7 @@ _ZERO = np.zeros(3)
 _NO_REQUEST = SetpointRequest(None, np.zeros(3), 0.0, 0.0)
 _NO_TRUTH = GroundTruth(np.zeros(3), np.zeros(3))
 _NO_DIRECTIONS, _NO_TARGET = np.zeros(12), np.zeros(14)
+_NO_DEFLECTION = np.zeros(3), np.zeros(6)
 
 
 @inlined
@@ -156,6 +163,7 @@ def _fill(
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
     request_kind: int, request_time: float, request: Array, request_velocity: Array, directions: Array, target: Array,
+    deflection_force: Array, deflection_covariance: Array,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
@@ -186,7 +194,9 @@ def _fill(
     at = _put(row, at + 2, request)
     at = _put(row, at, request_velocity)
     at = _put(row, at, directions)
-    _put(row, at, target)
+    at = _put(row, at, target)
+    at = _put(row, at, deflection_force)
+    _put(row, at, deflection_covariance)
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -258,14 +268,21 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("target_predicted", "m"),
         *vector("target_offset", "m"),
         *vector("target_true", "m"),
+        *vector("force_by_deflection", "N"),
+        *[Channel(f"force_by_deflection_covariance.{pair}", "N^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")],
     ]
 
 
-TRACKER_CHANNELS = frozenset({"tip_measured", "tip_time", "direction_measured", "target_measured"})
+TRACKER_CHANNELS = frozenset({
+    "tip_measured", "tip_time", "direction_measured", "target_measured", "force_by_deflection",
+    "force_by_deflection_covariance",
+})  # fmt: skip
 SENSOR_CHANNELS = frozenset({
     "force", "force_filtered", "force_estimated", "force_variance", "force_covariance", "moment", "moment_mismatch",
     "deflection", "deflection_filtered", "deflection_rate",
 })  # fmt: skip
+#: Channels that a tracker alone provides as well, from the deflection of the tip.
+FORCE_CHANNELS = frozenset({"force", "force_filtered", "force_variance"})
 TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_true"})
 #: Channels that each tick of the controller updates.
 COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
@@ -281,8 +298,10 @@ def stale_groups(channels: Channels, row: Array) -> frozenset[str]:
         return COMPUTED_CHANNELS
     _, tracker, sensors = channels.of(row, "trouble")
     unknown = (
-        (TRACKER_CHANNELS, tracker >= Severity.HOLD),
+        (TRACKER_CHANNELS, tracker >= Severity.HOLD or tracker == ABSENT),
         (SENSOR_CHANNELS, sensors >= Severity.HOLD),
+        (SENSOR_CHANNELS - FORCE_CHANNELS, sensors == ABSENT),
+        (FORCE_CHANNELS, sensors == ABSENT and (tracker >= Severity.HOLD or tracker == ABSENT)),
         (TRUTH_CHANNELS, not channels.of(row, "truth_known")[0]),
     )
     nowhere = (group for group in DIRECTION_CHANNELS if not channels.of(row, group).any())

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from core.robot.robot import Array, Base
+from station.config.controllers import Present
 from station.config.strict import ConfigError, Strict, Vector
 from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
 
@@ -30,20 +31,25 @@ class BenchFile(Strict):
 
     stages: Options
     """`driver` and the driver's options"""
-    tracker: Options
-    """`driver` and the driver's options"""
-    sensors: Options
-    """`driver` and the driver's options"""
+    tracker: Options | None = None
+    """`driver` and the driver's options; without this table the bench has no tracker"""
+    sensors: Options | None = None
+    """`driver` and the driver's options; without this table the bench has no force sensors"""
 
     @property
     def can_measure_target(self) -> bool:
         """Whether the tracker may measure a target: true for an Aurora with a second coil and for custom drivers."""
-        return self.tracker["driver"] != "aurora" or bool(self.tracker.get("target"))
+        return self.tracker is not None and (self.tracker["driver"] != "aurora" or bool(self.tracker.get("target")))
+
+    @property
+    def present(self) -> Present:
+        """Which devices the bench has besides its stages."""
+        return Present(self.tracker is not None, self.sensors is not None)
 
 
 def _is_either(value: object) -> object:
     if value != "virtual" and not isinstance(value, Mapping | BenchFile):
-        raise ValueError("expected 'virtual', or tables of stages, tracker and sensors")
+        raise ValueError("expected 'virtual', or a table of stages, and of tracker and sensors if there are any")
     return value
 
 

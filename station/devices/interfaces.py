@@ -8,7 +8,8 @@ loop reacts according to the severity of the fault.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Any, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, Protocol
 
 from core.errors import CtrError
 from core.robot.robot import Array
@@ -22,6 +23,12 @@ class Condition(StrEnum):
     HOMING = "homing"  #: stages only
     CONNECTED = "connected"
     FAULT = "fault"  #: the device has failed; this state ends when `connect` is called again
+
+
+#: Kinds of devices. A bench may lack the tracker and the force sensors.
+DeviceKind = Literal["stages", "tracker", "sensors"]
+#: Number in telemetry, instead of the severity of a fault, for a device that the bench does not have.
+ABSENT = -1
 
 
 class Severity(IntEnum):
@@ -194,5 +201,18 @@ class Devices:
     """The devices of a bench, as used by the control loop."""
 
     stages: Stages
-    tracker: Tracker
-    sensors: BaseSensors
+    tracker: Tracker | None  #: None: the bench has no tracker
+    sensors: BaseSensors | None  #: None: the bench has no force sensors
+
+    @cached_property
+    def by_kind(self) -> Mapping[DeviceKind, Device]:
+        """The devices that the bench has."""
+        all_kinds: dict[DeviceKind, Device | None] = {
+            "stages": self.stages, "tracker": self.tracker, "sensors": self.sensors,
+        }  # fmt: skip
+        return {kind: device for kind, device in all_kinds.items() if device is not None}
+
+    @cached_property
+    def no_fault(self) -> tuple[int, int, int]:
+        """Severities of stages, tracker and force sensors without a fault: 0, or `ABSENT`."""
+        return 0, ABSENT if self.tracker is None else 0, ABSENT if self.sensors is None else 0

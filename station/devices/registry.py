@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 from core.errors import CtrError
 from station.config.robots import RobotFile
@@ -19,13 +19,12 @@ from station.devices.ati.netft import netft
 from station.devices.ati.nidaq import nidaq
 from station.devices.aurora.tracker import aurora
 from station.devices.config import BenchFile
-from station.devices.interfaces import BaseSensors, Devices, EmergencyStop, Stages, Tracker
+from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
 from station.devices.zaber.stages import zaber
 
 ENTRY_POINT_GROUP = "ctr_station.devices"
 
-DeviceKind = Literal["stages", "tracker", "sensors"]
 DEVICE_KINDS: tuple[DeviceKind, ...] = ("stages", "tracker", "sensors")
 #: Function that opens a device whose options have been checked.
 Opener = Callable[[], Any]
@@ -127,14 +126,17 @@ class OpenError(CtrError):
 
 
 def plan(bench: BenchFile, robot: RobotFile) -> dict[DeviceKind, Opener]:
-    """Check the configuration, and return an opener for each device; no device is opened yet.
+    """Check the configuration, and return an opener for each device of the bench; no device is opened yet.
 
     Raises:
         ConfigError: an invalid key; the text names the key, the value and what was expected.
     """
     openers: dict[DeviceKind, Opener] = {}
     for kind in DEVICE_KINDS:
-        options = dict(getattr(bench, kind))
+        table: Mapping[str, Any] | None = getattr(bench, kind)
+        if table is None:
+            continue
+        options = dict(table)
         openers[kind] = find(kind, options.pop("driver"))(options, robot)
     return openers
 
@@ -148,14 +150,14 @@ def open_devices(bench: BenchFile, robot: RobotFile) -> Devices:
     """
     openers = plan(bench, robot)
     with contextlib.ExitStack() as opened:
-        devices = []
-        for kind in DEVICE_KINDS:
+        devices: dict[DeviceKind, Any] = dict.fromkeys(DEVICE_KINDS)
+        for kind, opener in openers.items():
             try:
-                devices.append(openers[kind]())
+                devices[kind] = opener()
             except CtrError as error:
                 raise OpenError(f"devices.{kind}: {error}") from None
             except (Exception, SystemExit) as error:  # an installed driver can raise anything
                 raise OpenError(f"devices.{kind}: {type(error).__name__}: {error}") from error
-            opened.callback(devices[-1].close)
+            opened.callback(devices[kind].close)
         opened.pop_all()
-        return Devices(*devices)
+        return Devices(**devices)

@@ -36,7 +36,7 @@ from station.config.strict import (
 )
 from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.config import LabConfig, load_lab
+from station.lab.config import LabConfig, Without, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.recording.run_outcome import counted_from
 
@@ -63,6 +63,8 @@ class CaseFile(Strict):
     """preset, or a .toml file in the folder of this one"""
     lab: str = "gentle"
     """virtual lab: preset or file"""
+    without: Without = ()
+    """devices that the lab does not have in this case: tracker, sensors"""
     start: Mapping[str, float]
     """joint positions [rad or m]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)]
@@ -109,17 +111,6 @@ class Experiment(NamedTuple):
     paper: Mapping[str, PaperNumbers]  #: numbers of the paper by case
     source: str  #: text of the file, stored with the results
 
-    def only(self, name: str | None) -> "Experiment":
-        """Return the experiment with only this case; None: with all cases.
-
-        Raises:
-            ConfigError: there is no such case; the text names the cases.
-        """
-        cases = tuple(case for case in self.cases if name in (None, case.name))
-        if not cases:
-            raise ConfigError(f"--case {name}: the cases are {', '.join(case.name for case in self.cases)}")
-        return self._replace(cases=cases)
-
 
 class _PaperTable(Strict):
     paper: Mapping[str, PaperNumbers]
@@ -130,7 +121,9 @@ class _CasesTable(Strict):
     cross: Mapping[Name, Annotated[Mapping[Name, Mapping[str, Any]], Field(min_length=1)]] = {}
 
 
-def load_experiment(name: str, changes: Mapping[str, Any] | None = None, *, check_motions: bool = True) -> Experiment:
+def load_experiment(
+    name: str, changes: Mapping[str, Any] | None = None, *, check_motions: bool = True, only: str | None = None
+) -> Experiment:
     """Return an experiment by preset name or file, completely checked before anything runs.
 
     Args:
@@ -138,9 +131,11 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None, *, chec
         changes: keys that are set in every case.
         check_motions: False: return a description only, without the check of the motions on the model, which takes
             seconds; a description must not be run.
+        only: name of the only case to return and to check; None: all cases.
 
     Raises:
-        ConfigError: the experiment is invalid; the message names file, case, key, value and the expected value.
+        ConfigError: the experiment is invalid, or has no case `only`; the message names file, case, key, value and the
+            expected value.
     """
     path = preset("experiments", name)
     table = read_toml(path)
@@ -153,13 +148,17 @@ def load_experiment(name: str, changes: Mapping[str, Any] | None = None, *, chec
             " anything runs: divide them among several files"
         )
     variations = variants(tables.model_dump()) or {path.stem: {}}
+    if unknown := [case for case in paper if case not in variations]:
+        raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
+    if only is not None and only not in variations:
+        raise ConfigError(f"--case {only}: the cases are {', '.join(variations)}")
     cases: list[Case] = []
     checked: dict[str, tuple[str, ...]] = {}
     for case, variation in variations.items():
+        if only not in (None, case):
+            continue
         changed = _at_working_pose(path, merged(table, variation), changes or {})
         cases.append(_case(path, case, changed, table, checked if check_motions else None))
-    if unknown := [case for case in paper if case not in variations]:
-        raise ConfigError(f"{path}: paper.{unknown[0]} is not one of the cases: {', '.join(variations)}")
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, table.text)
 
 
@@ -243,7 +242,7 @@ def _case(
     source, within = f"{path}: case '{name}'", f"cases.{name}"
     file = check(CaseFile, _resolve_paths(path, table), source, document, within)
     robot = load_robot(file.robot)
-    lab = load_lab(file.lab, robot)
+    lab = load_lab(file.lab, robot).leaving_out(file.without)
     try:
         start = start_pose(file.start, robot)
         check_faults(file.faults, robot)
@@ -251,7 +250,7 @@ def _case(
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
         calibration = BenchCalibration.load(Path(file.calibration), robot) if file.calibration else None
         # The controller gets the calibrated robot. The lab keeps simulating its own true robot, which differs from it.
-        controller = file.controller.controller(robot if calibration is None else calibration.robot)
+        controller = file.controller.controller(robot if calibration is None else calibration.robot, lab.present)
         if calibration is not None:
             controller = calibration.applied(controller)
         check_pose(controller.statics, controller.limits, start)

@@ -203,6 +203,10 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
     if off := case.get("true_direction_error_deg"):
         yield "distance true, 95 % [mm]", "", "", f"{case['true_p95_distance_mm']:.3f}", ""
         yield "direction true, 95 %, largest [deg]", "", f"{off['p95']:.2f}", f"{off['max']:.2f}", ""
+    if "force_by_deflection_rms_error_N" in case and "force_rms_error_N" not in case:
+        hits = 100.0 * case["force_by_deflection_in_95"]
+        title = f"RMS error of the force from the deflection [N] ({hits:.0f} % in the 95 % interval)"
+        yield title, "", "", f"{case['force_by_deflection_rms_error_N']:.4f}", ""
     for edge, margin in case.get("smallest", {}).items():
         yield f"smallest {edge.replace('_', ' ')}", "", "", f"{margin:.3f}", ""
     if "best_possible_mm" in case:

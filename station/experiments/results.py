@@ -11,6 +11,7 @@ from core.robot.limits import TubeOrder
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.config.motions import StepMotion
+from station.control.telemetry import Channels
 from station.experiments.case_summary import load_windows, model_note, window_name
 from station.experiments.runner import Recording
 from station.recording.run_outcome import (
@@ -94,10 +95,10 @@ def summarise(recording: Recording) -> dict[str, Any]:
 
     is_counted = of("time")[:, 0] >= first - 1e-9
     is_frame = is_counted & (of("tip_new")[:, 0] > 0.0)
-    frames = rows[is_frame]
-    if len(frames) == 0:
+    frames, counted = rows[is_frame], rows[is_counted]
+    tracked = recording.case.controller.tracked
+    if len(counted) == 0 or (tracked and len(frames) == 0):
         return summary
-    counted = rows[is_counted]
     if of("target_followed").any():
         joints = recording.case.robot.joints
         parts = limited_parts([joint.name for joint in joints], of("at_bound"), of("target_followed")[:, 0])
@@ -105,7 +106,9 @@ def summarise(recording: Recording) -> dict[str, Any]:
         if warning := saturation_warning(parts):
             summary["warnings"] = [*summary.get("warnings", ()), warning]
     summary["counted_from_s"] = first
-    summary |= largest_force(channels.of(counted, "force_filtered"))
+    senses = recording.case.controller.senses
+    if tracked or senses:
+        summary |= largest_force(channels.of(counted, "force_filtered"))
     times, frame_times = of("time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:
@@ -115,7 +118,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
 
     measured = channels.of(frames, "tip_measured")
     sweeps = recording.case.file.trajectory.kind == "joint_sweep"
-    if not sweeps:
+    if not sweeps and tracked:
         summary |= errors("", frame_errors(of, is_frame, 0.0))
     known = bool(channels.of(counted, "truth_known").all())
     if known:
@@ -127,21 +130,49 @@ def summarise(recording: Recording) -> dict[str, Any]:
                 summary |= _settled_errors(recording, error)
             summary |= _direction(recording, is_counted)
             summary |= _edges(recording)
-        for group in ("force", "force_filtered"):
+        summary |= _force_by_deflection(channels, frames) if tracked else {}
+        for group in ("force", "force_filtered") if senses else ():
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
     if isinstance(recording.case.file.trajectory, StepMotion):
         summary["step"] = _step(recording, "tip_true" if known else "tip_observed", recording.case.file.trajectory)
-    summary["model_error_mm"] = {
-        name: rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
-        for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
-    }
+    if tracked:
+        summary["model_error_mm"] = {
+            name: rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
+            for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
+        }
     summary["deflection_rate_rms_error_mm_s"] = _rate_errors(recording)
     summary["deflection_max_mm"] = {
         group: rounded(1e3 * np.abs(channels.of(counted, group)).max(axis=0))
         for group in ("deflection", "delta_1", "delta_2")
     }
     return summary
+
+
+#: Standard deviation below which a direction of the force from the deflection counts as measured [N]. In the other
+#: directions the tubes hardly bend.
+MEASURED_STD_N = 0.05
+
+
+def _force_by_deflection(channels: Channels, frames: Array) -> dict[str, Any]:
+    """Return RMS error and hits of the force from the deflection, in the directions in which the tubes bend.
+
+    `force_by_deflection_rms_error_N` is the RMS error along these directions, the eigenvectors of the covariance;
+    `force_by_deflection_in_95` is the fraction of the tracker frames whose 95 % interval contains the true force.
+    Empty without a tracker. `frames` (f, channels) are the rows with a tracker frame.
+    """
+    xx, xy, xz, yy, yz, zz = channels.of(frames, "force_by_deflection_covariance").T
+    variances, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1))
+    error = channels.of(frames, "force_by_deflection") - channels.of(frames, "force_true")
+    along, spread = np.einsum("fik,fi->fk", axes, error), np.sqrt(np.maximum(variances, 0.0))
+    measured = (spread > 0.0) & (spread < MEASURED_STD_N)
+    if not measured.any():
+        return {}
+    inside = np.abs(along[measured]) <= 1.96 * spread[measured]
+    return {
+        "force_by_deflection_rms_error_N": rounded(float(np.sqrt(np.mean(along[measured] ** 2))), 4),
+        "force_by_deflection_in_95": rounded(float(inside.mean()), 3),
+    }
 
 
 def _direction(recording: Recording, counted: NDArray[np.bool_]) -> dict[str, Any]:

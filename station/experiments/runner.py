@@ -118,7 +118,7 @@ def run_case(
     except CtrError as error:
         cause = str(error)
     table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
-    details = {name: getattr(devices, name).details() for name in ("stages", "tracker", "sensors")}
+    details = {kind: device.details() for kind, device in devices.by_kind.items()}
     rates = _rates(counted, details["stages"], kept * PERIOD_S)
     return Recording(
         case, loop.channels, table, not cause, cause, tick * PERIOD_S, time.perf_counter() - wall, details, rates
@@ -137,7 +137,7 @@ def _rates(before: Mapping[str, Any], after: Mapping[str, Any], time: float) -> 
 def _connect_problem(loop: ControlLoop, now: float) -> str:
     """Return the reason why the station is not ready: the faults of its devices, or stages that are not homed."""
     devices = loop.devices
-    troubles = [device.trouble(now) for device in (devices.stages, devices.tracker, devices.sensors)]
+    troubles = [device.trouble(now) for device in devices.by_kind.values()]
     return "; ".join(str(trouble) for trouble in troubles if trouble is not None) or "the stages are not homed"
 
 
@@ -154,8 +154,10 @@ def warm_up() -> None:
     estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
     bench = virtual_bench(robot, LabConfig(), 0, joints)
     bench.lab.advance(0.0)
-    bench.devices.sensors.connect(0.0)
+    sensors = bench.devices.sensors
+    assert sensors is not None, "the default lab has force sensors"  # noqa: S101
+    sensors.connect(0.0)
     bench.lab.advance(0.01)
-    bench.devices.sensors.poll(0.01)
+    sensors.poll(0.01)
     zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
     command(controller.strategy, controller.feedback, controller.limits, joints, estimate, zero, still, zero, zero)

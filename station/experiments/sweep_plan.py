@@ -181,7 +181,7 @@ def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only:
     """
     listed: list[tuple[Setting, Case, int]] = []
     for setting in chosen:
-        cases = load_experiment(experiment, nested(setting)).only(only).cases
+        cases = load_experiment(experiment, nested(setting), only=only).cases
         listed += [(setting, case, seed) for case in cases for seed in seeds]
     return [SweepJob(number, *one) for number, one in enumerate(listed)]
 

@@ -1,13 +1,14 @@
 """All parameters of the virtual lab. Their default values gave the results that the documents report."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from station.config.controllers import Present
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, Format, NotNegative, Strict, Vector, check, preset, read_toml
+from station.config.strict import ConfigError, Format, NotNegative, Row, Strict, Vector, check, preset, read_toml
 
 
 class TubeError(Strict):
@@ -175,6 +176,10 @@ class TargetConfig(Strict):
     """largest change of both amplitudes, with a period of 45 s, as a fraction"""
 
 
+#: Kinds of devices that a bench does not have.
+Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
+
+
 class LabConfig(Strict):
     """The virtual lab."""
 
@@ -194,6 +199,17 @@ class LabConfig(Strict):
     """errors of the bench that the station does not know"""
     target: TargetConfig | None = None
     """motion of the target; without a target the tracker has a single coil"""
+    without: Without = ()
+    """devices that the bench does not have: tracker, sensors"""
+
+    def leaving_out(self, kinds: Iterable[str]) -> "LabConfig":
+        """Return the lab without the devices of these kinds: `tracker`, `sensors`."""
+        return self.model_copy(update={"without": tuple(sorted({*self.without, *kinds}))})
+
+    @property
+    def present(self) -> Present:
+        """Which devices the bench has besides its stages."""
+        return Present("tracker" not in self.without, "sensors" not in self.without)
 
     @model_validator(mode="after")
     def _coil_on_a_wire(self) -> Self:

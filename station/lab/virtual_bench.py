@@ -196,10 +196,12 @@ def virtual_bench(
         PoseError, NoSolution: the plant (simulated real robot) has no shape there.
     """
     if config.devices == "ideal":
-        ideal = IdealLab(robot, config, seed, positions)
-        return VirtualBench(ideal, ideal.devices)
-    lab = SimulatedBench(robot, config, seed, positions, homed=True)
-    return VirtualBench(lab, drivers(lab, registration or GENERATOR_POSE))
+        lab: Lab = IdealLab(robot, config, seed, positions)
+        devices = lab.devices
+    else:
+        lab = SimulatedBench(robot, config, seed, positions, homed=True)
+        devices = drivers(lab, registration or GENERATOR_POSE)
+    return VirtualBench(lab, replace(devices, **dict.fromkeys(config.without)))
 
 
 def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE) -> Devices:

@@ -163,11 +163,15 @@ def _literal(name: str) -> str:
     return json.dumps(name).replace("%", "%%")
 
 
+#: Kind of the events with which an operator marks a moment of a run.
+MARK = "mark"
+
+
 class RecordedEvent(NamedTuple):
     """Event of a run: a change of state, a fault, a command, ..."""
 
     time: float  #: time of the event, on the same clock as the channel `time` [s]
-    kind: str  #: state, command, fault, ...
+    kind: str  #: state, command, fault, mark, ...
     text: str  #: human-readable text
     level: int = INFO
     data: Mapping[str, Any] = {}  #: machine-readable JSON values

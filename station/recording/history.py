@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from station.config.strict import Strict
+from station.recording.read import open_case
 from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, write_json
 from station.recording.run_outcome import CaseOutcome, RecordingError, case_outcomes
 from station.recording.writer import PARTIAL_SUFFIX
@@ -67,6 +68,17 @@ class RunDetails(RunEntry):
     """Entry of a run with its whole summary: errors, counts and timing, if the run has them."""
 
     summary: Mapping[str, Any]
+
+
+class RunSettings(Strict):
+    """Settings of a recorded case."""
+
+    experiment: str
+    """name of the experiment; empty: a free motion"""
+    case: str
+    """case of the experiment"""
+    settings: Mapping[str, Any]
+    """trajectory, controller, load, duration and more, SI"""
 
 
 class RunHistory:
@@ -138,6 +150,21 @@ class RunHistory:
             return next(iter(cases.values()))
         reason = f"'{case}' is not one of the cases" if case else "choose one of the cases" if cases else "no recording"
         raise NoRunError(f"run '{folder.name}': {reason}{': ' if cases else ''}{', '.join(cases)}")
+
+    def settings(self, name: str, case: str = "") -> "RunSettings":
+        """Return what was recorded in a case; `case` may be omitted as in `recording`.
+
+        Raises:
+            RunError: there is no such run or case.
+            RecordingError: the recording is damaged.
+        """
+        with open_case(self.recording(name, case)) as recorded:
+            about = recorded.metadata
+        return RunSettings(
+            experiment=str(about.get("experiment", "")),
+            case=str(about.get("case", "")),
+            settings=dict(about.get("settings", {})),
+        )
 
     def annotate(
         self, name: str, *, notes: str | None = None, title: str | None = None, starred: bool | None = None,

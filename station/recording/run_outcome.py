@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.strict import Strict, Vector
+from station.devices.interfaces import ABSENT
 
 #: Settling time of a free motion [s]; a short motion has half of its duration instead.
 SETTLING_S = 20.0
@@ -90,17 +91,19 @@ def frame_errors(of: Callable[[str], Array], frames: NDArray[np.bool_], start: f
 def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
     """Return the tip errors of a motion from `first` [s] after its `start` [s] on, and the largest force since then.
 
-    Empty if the tracker has sent no frame since then. `of` returns the columns of a channel group (ticks, k). Errors
-    with the prefix `true_` are those of the virtual lab's true tip.
+    Empty if the tracker has sent no frame since then. A bench without a tracker has true errors only. `of` returns the
+    columns of a channel group (ticks, k). Errors with the prefix `true_` are those of the virtual lab's true tip.
     """
     counted = of("time")[:, 0] - start >= first
     frames = counted & (of("tip_new")[:, 0] > 0.0)
-    if not frames.any():
+    tracked = bool((of("trouble")[counted, 1] != ABSENT).any())
+    if not (frames.any() if tracked else counted.any()):
         return {}
-    found = errors("", frame_errors(of, frames, start))
+    found = errors("", frame_errors(of, frames, start)) if tracked else {}
     if of("truth_known")[counted].all():
         found |= errors("true_", (desired(of, "target_true") - of("tip_true"))[counted])
-    return found | largest_force(of("force_filtered")[counted])
+    known = tracked or bool((of("trouble")[counted, 2] != ABSENT).any())
+    return found | (largest_force(of("force_filtered")[counted]) if known else {})
 
 
 def largest_force(force: Array) -> dict[str, Any]:

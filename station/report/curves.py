@@ -25,6 +25,14 @@ class CurveLine(Strict):
     value: tuple[float, ...] = Row
 
 
+class CurveMark(Strict):
+    """Moment of a run that the operator has marked."""
+
+    time: float
+    """time since the motion's start [s]"""
+    text: str
+
+
 class Curve(Strict):
     """Curves of tip error and force of one case."""
 
@@ -36,6 +44,7 @@ class Curve(Strict):
     """magnitude of the filtered force at the tip [N]"""
     counted_from: float
     """time from which errors count [s]"""
+    marks: tuple[CurveMark, ...] = ()
 
 
 Curves = TypeAdapter(dict[str, Curve])
@@ -71,6 +80,7 @@ def _curve(case: RecordedCase) -> Curve:
         error=None if case.sweeps else peaks(times, np.linalg.norm(error, axis=1)),
         force=peaks(case.time, np.linalg.norm(case.of("force_filtered"), axis=1)),
         counted_from=case.counted_from,
+        marks=tuple(CurveMark(time=round(time, 3), text=text) for time, text in case.marks),
     )
 
 

@@ -128,6 +128,9 @@ def result(run: RecordedRun) -> Iterator[str]:
     if label := run.summary.get("label"):
         cause = run.summary.get("cause")
         yield document.paragraph(f"Ended: {label}{f', {cause}' if cause else ''}.")
+    for case in run.cases:
+        for time, text in case.marks:
+            yield document.paragraph(f"Marked at {time:.1f} s{case.title_suffix}: {text}.")
     for name, found in case_outcomes(run.summary).items():
         case = run.case(name)
         yield document.paragraph(

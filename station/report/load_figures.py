@@ -86,11 +86,13 @@ def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: fl
             for label, group in (("single samples", "force"), ("filtered", "force_filtered"))
         )
         summary = f" RMS error in x / y / z: {', '.join(errors)}."
+    source = "fused from the sensors at the tubes' bases" if case.senses else "from the deflection of the tip"
     if uncertain:
-        summary += " The band is two standard deviations, as estimated from the sensors' errors."
+        errors = "from the sensors' errors" if case.senses else "from the tracker's and the model's errors"
+        summary += f" The band is two standard deviations, as estimated {errors}."
     return ReportFigure(
         name, f"{title}{case.title_suffix}",
-        f"Components of the force fused from the sensors at the tubes' bases,"
+        f"Components of the force {source},"
         f" {time[0]:.0f} to {time[-1]:.0f} s.{summary}",
         f"Force in x, y and z over time.{summary}",
         figure,

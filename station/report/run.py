@@ -13,7 +13,9 @@ from core.robot.robot import Array
 from station.config.strict import merged, read_toml
 from station.control.task import Phase
 from station.control.telemetry import Channel
+from station.devices.interfaces import ABSENT
 from station.experiments.experiment import variants
+from station.recording.foxglove import MARK
 from station.recording.read import read_case
 from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, RECORDING_SUFFIX, SUMMARY_FILE
 from station.recording.run_outcome import desired
@@ -23,7 +25,7 @@ KEPT_GROUPS = frozenset((
     "time", "phase", "joints", "force", "force_filtered", "force_variance", "force_true", "tip_new", "tip_time",
     "tip_measured", "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true",
     "deflection", "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
-    "target_followed", "target_measured", "target_offset", "target_true",
+    "target_followed", "target_measured", "target_offset", "target_true", "trouble",
 ))  # fmt: skip
 #: Largest number of rows of a case in memory; of a recording of more than 33 minutes only every n-th row is kept.
 MAX_ROWS = 1_000_000
@@ -48,6 +50,7 @@ class RecordedCase:
     numbers: Mapping[str, Any]  #: part of the summary about this case
     metadata: Mapping[str, Any]
     stride: int = 1  #: n if `rows` has only every n-th tick
+    marks: tuple[tuple[float, str], ...] = ()  #: time since the motion's start [s] and text of the operator's marks
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -85,6 +88,11 @@ class RecordedCase:
     def truth_known(self) -> bool:
         """Whether the recording has the true tip of a virtual lab."""
         return bool(self.of("truth_known").all())
+
+    @property
+    def senses(self) -> bool:
+        """Whether the bench had force sensors; without them the force is that from the deflection."""
+        return not self.names("trouble") or bool((self.of("trouble")[:, 2] != ABSENT).any())
 
     @property
     def sweeps(self) -> bool:
@@ -180,14 +188,17 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
     name, found = path.stem, read_case(path, MAX_ROWS, KEPT_GROUPS)
     file = merged(table, variants(table).get(name, {}))
     numbers = summary.get("cases", {}).get(name, {})
-    rows = _motion_only(found.rows, found.channels, float(numbers.get("motion_start", 0.0)))
+    rows, start = _motion_only(found.rows, found.channels, float(numbers.get("motion_start", 0.0)))
+    marks = tuple((event.time - start, event.text) for event in found.events if event.kind == MARK)
     # A live run may have no experiment file; then its settings are in the metadata of the recording.
     file = file or {"settling": numbers.get("settling", 0.0), **found.metadata.get("settings", {})}
-    return RecordedCase(name, found.channels, rows, file, numbers, found.metadata, found.stride)
+    return RecordedCase(name, found.channels, rows, file, numbers, found.metadata, found.stride, marks)
 
 
-def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> Array:
-    """Return the rows of a live run's motion, with times from its start; all rows if the motion never started.
+def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> tuple[Array, float]:
+    """Return the rows of a live run's motion, with times from its start, and this start [s].
+
+    The result has all rows if the motion never started.
 
     Args:
         rows: (ticks, channels).
@@ -201,12 +212,12 @@ def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> Arra
     elif start != 0.0:
         moving = times >= start
     else:
-        return rows
+        return rows, 0.0
     kept = rows[moving]
     if start != 0.0:
         for name in ("time", "tip_time"):
             kept[:, names.index(name)] -= start
-    return kept
+    return kept, start
 
 
 def read_json(path: Path) -> Mapping[str, Any]:

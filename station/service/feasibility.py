@@ -46,6 +46,10 @@ def incompatibility(case: Case, bench: Rig) -> str:
         name = bench.robot.name
         other = f"this station has '{name}'" if case.robot.name != name else "this station's robot of that name differs"
         return f"for robot '{case.robot.name}'; {other}: start one with robot = \"{case.file.robot}\" in its file"
+    try:
+        case.file.controller.check_devices(bench.present)
+    except DescriptionError as error:
+        return str(error)
     if case.orders.follow is not None and (missing := missing_target(bench)):
         return missing
     if case.file.faults and bench.devices is not None:

@@ -297,9 +297,11 @@ class LiveCalibration:
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the station is not READY, or a procedure is running.
+            RefusedError: the bench lacks a device of the procedure, the station is not READY, or a procedure runs.
             ConfigError: the tracker's pose in the station's file is invalid, or the folder cannot be written.
         """
+        if missing := PROCEDURES[what].missing(self.supervisor.bench.present):
+            raise RefusedError(f"'calibrate {what}' {missing}, which this bench does not have")
         permit = permit or self.supervisor.permit()
         with self._lock:
             self.supervisor.reserve(f"'calibrate {what}' has reserved the robot; abort it first", permit)
@@ -354,7 +356,7 @@ def assumed_mount(bench: Rig) -> TrackerMounting:
     """Return the assumed pose of the tracker, which defines the world frame of the telemetry."""
     if bench.calibration is not None and bench.calibration.registration is not None:
         return bench.calibration.registration
-    if bench.devices is None:
+    if bench.devices is None or bench.devices.tracker is None:
         return GENERATOR_POSE
     mount = check(Mount, bench.devices.tracker.get("mount", {}), "devices.tracker.mount")
     return TrackerMounting(mount.rotation, np.array(mount.position))
@@ -376,4 +378,5 @@ def _job(supervisor: Supervisor, folder: Path, what: str, effort: float, weights
         now.isoformat(timespec="seconds"),
         new_folder(folder, f"{what}-{now:%Y%m%d-%H%M%S}"),
         None if calibration is None else calibration.folder,
+        bench.present.sensors,
     )

@@ -19,11 +19,11 @@ from station.control.child_process import is_alive
 from station.control.clock import StationClock
 from station.control.messages import StateNotice
 from station.control.ring import RECORDER_HEARTBEAT, Ring
-from station.control.states import State
+from station.control.states import RefusedError, State
 from station.control.task import MotionTask
 from station.devices.interfaces import with_details
 from station.lab.faults import LabFault
-from station.recording.foxglove import ERROR, INFO, RecordedEvent
+from station.recording.foxglove import ERROR, INFO, MARK, RecordedEvent
 from station.recording.history import RunError, RunHistory
 from station.recording.recorder import START_TIMEOUT_S, Recorder
 from station.recording.recover import recover, unrecoverable
@@ -278,6 +278,16 @@ class Runs:
             cause = with_details(notice.cause, notice.details)
             text = f"{notice.state.name}{cause and ': '}{cause}"
             self.recorder.add_event(self._time(), "state", text, bad=notice.state in (State.HOLD, State.FAULT))
+
+    def mark(self, text: str) -> None:
+        """Mark the present moment of the run in its recording.
+
+        Raises:
+            RefusedError: no run is being recorded.
+        """
+        if self.recorder is None or self._recorded is None:
+            raise RefusedError("no run is being recorded; start a run to mark a moment of it")
+        self.recorder.add_event(self._time(), MARK, text)
 
     def on_state(self, notice: StateNotice) -> None:
         """End the recording if the notice reports the end of its run."""

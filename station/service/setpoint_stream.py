@@ -11,7 +11,7 @@ from pydantic import Field
 from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, SetpointRequest, turn_bounds
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
+from station.config.controllers import ControllerFile
 from station.config.strict import Strict
 from station.control.task import StreamLimits
 
@@ -63,7 +63,8 @@ class StreamAgreement(Strict):
     """time without a message after which the run ends [s]"""
     duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 600.0
     """longest duration of the run [s]"""
-    controller: ControllerFile = DEFAULT_CONTROLLER
+    controller: ControllerFile | None = None
+    """null: the best one for the station's devices"""
 
     def limits(self) -> StreamLimits:
         """Return the limits of the stream for the control loop."""
@@ -75,7 +76,7 @@ class StreamAgreement(Strict):
     @property
     def controls_direction(self) -> bool:
         """Whether the direction of the tip is controlled, so that a client may send it."""
-        return self.controller.task != "position"
+        return self.controller is not None and self.controller.task != "position"
 
 
 class SetpointStream:

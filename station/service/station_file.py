@@ -14,7 +14,7 @@ from core.control.step import Controller
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
+from station.config.controllers import ControllerFile, Present, default_controller
 from station.config.robots import RobotFile, load_robot, named_pose
 from station.config.strict import ConfigError, Format, Strict, check, line_reference, read_toml, use_experiments
 from station.control.bench_calibration import BenchCalibration
@@ -23,7 +23,7 @@ from station.control.monitors import Margins, OverrunLimits, check_design
 from station.control.process import ControlSetup
 from station.devices.config import BenchFile, DevicesFile
 from station.devices.registry import emergency_stop, plan
-from station.lab.config import LabConfig, load_lab
+from station.lab.config import LabConfig, Without, load_lab
 from station.lab.virtual_bench import warm_up_control
 
 
@@ -63,16 +63,22 @@ class Rig:
         """Return the controller that `file` describes, with the calibrated parameters.
 
         Raises:
-            DescriptionError: the strategy is unknown, or a gain or bandwidth is out of range.
+            DescriptionError: the strategy is unknown, needs a device that the station does not have, or a gain or
+                bandwidth is out of range.
         """
         if self.calibration is None:
-            return file.controller(self.robot)
-        return self.calibration.applied(file.controller(self.calibration.robot))
+            return file.controller(self.robot, self.present)
+        return self.calibration.applied(file.controller(self.calibration.robot, self.present))
+
+    @property
+    def present(self) -> Present:
+        """Which devices the station has besides its stages."""
+        return self.lab.present if self.devices is None else self.devices.present
 
     def registered(self, devices: BenchFile) -> BenchFile:
         """Return the devices with the calibrated pose of the tracker."""
         mount = None if self.calibration is None else self.calibration.mount
-        if mount is None:
+        if mount is None or devices.tracker is None:
             return devices
         return devices.model_copy(update={"tracker": {**devices.tracker, "mount": mount}})
 
@@ -93,15 +99,17 @@ class Rig:
     @property
     def can_track_target(self) -> bool:
         """Whether the tracker can measure the position of a target."""
-        return self.lab.target is not None if self.devices is None else self.devices.can_measure_target
+        if self.devices is not None:
+            return self.devices.can_measure_target
+        return self.lab.target is not None and self.present.tracker
 
     @property
     def title(self) -> str:
         """Human-readable name of the lab or bench."""
         if self.devices is None:
             return self.lab.title
-        own = self.devices
-        return f"bench of '{self.robot.name}': {', '.join(d['driver'] for d in (own.stages, own.tracker, own.sensors))}"
+        tables = (self.devices.stages, self.devices.tracker, self.devices.sensors)
+        return f"bench of '{self.robot.name}': {', '.join(table['driver'] for table in tables if table)}"
 
 
 #: Warning about stages without an emergency stop, shown at the start and on the page.
@@ -150,7 +158,7 @@ class ClockFile(Strict):
         tables = {
             kind: {key: self.patience, **table}
             for kind, driver, key in (("stages", "zaber", "deadline"), ("sensors", "netft", "stale_after"))
-            if (table := getattr(bench, kind))["driver"] == driver
+            if (table := getattr(bench, kind)) and table["driver"] == driver
         }
         return bench.model_copy(update=tables)
 
@@ -176,8 +184,10 @@ class StationFile(Strict):
     """joint positions of the virtual lab at power-up [rad or m]; by default the robot's working pose"""
     devices: DevicesFile = "virtual"
     """devices of the virtual lab, or of a bench (station/devices/README.md)"""
-    controller: ControllerFile = DEFAULT_CONTROLLER
-    """controller of the loop until a run sets another one"""
+    without: Without = ()
+    """devices that the virtual lab does not have, in addition to the key `without` of the lab's file"""
+    controller: ControllerFile | None = None
+    """controller of the loop until a run sets another one; by default the best one for the station's devices"""
     fifo: bool = True
     """request real-time scheduling"""
     overruns: OverrunLimits = OverrunLimits()
@@ -217,14 +227,18 @@ class StationFile(Strict):
             ConfigError: the text names file, key, value and the expected value.
         """
         robot = load_robot(self.robot)
-        lab = load_lab(self.lab, robot)
+        lab = load_lab(self.lab, robot).leaving_out(self.without)
         try:
+            if self.without and self.devices != "virtual":
+                raise ConfigError(f"without = {list(self.without)}: leave out the tables of real devices instead")
+            present = lab.present if self.devices == "virtual" else self.devices.present
+            controller = self.controller or default_controller(present)
             park = self._park(robot)
             check_pose(Statics(robot.robot()), robot.limits(), park)
             folder = None if self.calibration is None else self._folder / self.calibration
             calibration = None if folder is None else BenchCalibration.load(folder, robot)
             assumed = robot if calibration is None else calibration.robot
-            self.controller.controller(assumed)
+            controller.controller(assumed, present)
             devices = None if self.devices == "virtual" else self.clock.with_patience(self.devices)
             unstoppable = ""
             if devices is not None:
@@ -240,7 +254,7 @@ class StationFile(Strict):
             lab=lab,
             seed=self.seed,
             park=tuple(park.tolist()),
-            controller=self.controller,
+            controller=controller,
             fifo=self.fifo,
             overruns=self.overruns,
             devices=devices,

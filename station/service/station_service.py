@@ -11,7 +11,7 @@ from pydantic import Field
 from core.control.reachability import check_pose
 from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError, Unreachable
-from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile
+from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile, default_controller
 from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import HoldMotion, Orders, TipMotion
 from station.config.robots import named_pose
@@ -62,7 +62,7 @@ class StationService:
 
     def __init__(self, supervisor: Supervisor) -> None:
         self.supervisor = supervisor
-        self._settings = StationSettings()
+        self._settings = StationSettings(controller=default_controller(supervisor.bench.present))
         self._lock = threading.Lock()
 
     @property
@@ -204,14 +204,15 @@ class StationService:
             CtrError: the controller is invalid, or the present pose violates a limit.
         """
         permit = permit or self.supervisor.permit()
-        controller = self.supervisor.bench.controlled(agreement.controller)
+        file = agreement.controller or default_controller(self.supervisor.bench.present)
+        controller = self.supervisor.bench.controlled(file)
         task = MotionTask(controller, agreement.limits(), agreement.duration)
         values = self.supervisor.status().values
         if "joints" in values:
             check_pose(task.controller.statics, task.controller.limits, values["joints"])
             task.controller.check_loops(values["joints"])
         settings = {
-            "controller": agreement.controller.model_dump(mode="json"),
+            "controller": file.model_dump(mode="json"),
             "duration": agreement.duration,
             "stream": agreement.model_dump(mode="json", exclude={"controller"}),
         }

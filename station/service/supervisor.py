@@ -275,6 +275,14 @@ class Supervisor:
         """
         self._send_if_free("tare", permit)
 
+    def mark(self, text: str) -> None:
+        """Mark the present moment of the run in its recording.
+
+        Raises:
+            RefusedError: no run is being recorded.
+        """
+        self._runs.mark(text)
+
     def jog(self, space: Space, velocity: Array, permit: Permit | None = None) -> None:
         """Jog for the next 0.3 s: joints (n,) [rad/s or m/s], tip (3,) [m/s], or the tip's direction (3,) [rad/s].
 

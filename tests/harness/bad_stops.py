@@ -1,4 +1,4 @@
-"""The stages of `example_stages.py` with a failing emergency stop; the option `manner` or its file sets the failure.
+"""The stages of `line_stages.py` with a failing emergency stop; the option `manner` or its file sets the failure.
 
 The author of a driver may write any of these errors: an emergency stop that waits forever, returns nothing, ends the
 interpreter, or wrongly reports success.
@@ -11,8 +11,8 @@ from typing import Any
 
 from station.config.robots import RobotFile
 from station.devices.interfaces import Clock, NotStopped
-from tests.harness.example_stages import LineStages
-from tests.harness.example_stages import open_stages as open_good_ones
+from station.docs.examples.line_stages.line_stages import LineStages
+from station.docs.examples.line_stages.line_stages import open_stages as open_good_ones
 
 
 class Unprintable(Exception):

@@ -1,12 +1,12 @@
-"""The stages of `example_stages.py` with a driver error: they divide by zero once homing was requested."""
+"""The stages of `line_stages.py` with a driver error: they divide by zero once homing was requested."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from station.config.robots import RobotFile
 from station.devices.interfaces import JointReading
-from tests.harness.example_stages import LineStages, emergency_stop
-from tests.harness.example_stages import open_stages as open_good_ones
+from station.docs.examples.line_stages.line_stages import LineStages, emergency_stop
+from station.docs.examples.line_stages.line_stages import open_stages as open_good_ones
 
 
 class FaultyStages:

@@ -1,9 +1,9 @@
 """Take the pictures of the page for the documents: `python -m tests.tools.page_pictures web/pictures [NAME ...]`.
 
-Without a name the program takes all pictures of `web/README.md`; `... page_pictures web/static panel` takes the
-picture of the main README.
-The pictures show stations in virtual labs, each with its scene and during an activity. On a busy computer a run may end
-in HOLD; the program then reports this, and the missing pictures must be requested by name.
+Without a name the program takes all pictures of the page *Use the page*; `... page_pictures web/static panel` takes
+the picture of the main README. The pictures show stations in virtual labs, each with its scene and during an activity.
+On a busy computer a run may end in HOLD; the program then reports this, and the missing pictures must be requested by
+name.
 """
 
 import sys
@@ -25,14 +25,14 @@ from tests.harness.serving import Served, serving
 COLOURS = 256
 #: Time for the scene to be drawn before a picture is taken [s].
 DRAWN = 5.0
-HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 91}
+HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 56}
 #: JavaScript that counts how often the page became stale or current, and checks that page, close-up and numbers are
 #: current.
 COUNTING = """() => { window.turnedOld = 0;
   new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
 FRESH = """() => !document.body.classList.contains("stale")
   && document.querySelector("#tip p").textContent !== "no data of the tip"
-  && /[0-9]/.test(document.querySelectorAll("#strip output")[1].textContent)"""
+  && /[0-9]/.test(document.querySelector("#strip [data-quantity=force] + output").textContent)"""
 PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
 DEMO = {"experiment": "demo"}
 

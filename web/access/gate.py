@@ -204,14 +204,14 @@ def _unframed(send: Send) -> Send:
 
 
 async def _refuse(scope: Scope, send: Send, status: int, reason: str) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008, "reason": reason[:120]})
-        return
-    await _answer(send, status, {"content-type": "application/json"}, json.dumps({"error": reason}).encode())
+    # A WebSocket is refused by an HTTP response, because a close frame before the handshake has no reason.
+    prefix = "websocket." if scope["type"] == "websocket" else ""
+    body = json.dumps({"error": reason}).encode()
+    await _answer(send, status, {"content-type": "application/json"}, body, prefix)
 
 
-async def _answer(send: Send, status: int, headers: dict[str, str], body: bytes) -> None:
+async def _answer(send: Send, status: int, headers: dict[str, str], body: bytes, prefix: str = "") -> None:
     lines = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
     lines.append((b"content-length", str(len(body)).encode()))
-    await send({"type": "http.response.start", "status": status, "headers": lines})
-    await send({"type": "http.response.body", "body": body})
+    await send({"type": f"{prefix}http.response.start", "status": status, "headers": lines})
+    await send({"type": f"{prefix}http.response.body", "body": body})

@@ -40,6 +40,8 @@ class ProcedureOut(Strict):
     """when to use the procedure, and what it does"""
     needs: str
     """equipment that the operator needs"""
+    missing: str
+    """device that this bench lacks; then the procedure cannot be started; empty if it has all"""
     seconds: float
     """duration with the default poses and weights, including manual steps [s]"""
     weight_seconds: float
@@ -150,8 +152,13 @@ def calibration_routes(calibration: LiveCalibration, of: Commands) -> APIRouter:
 
     @router.get("", summary="Procedures, and the running one")
     def calibrations() -> CalibrationOut:
+        present = calibration.supervisor.bench.present
         offers = tuple(
-            ProcedureOut(name=name, **{key: getattr(offer, key) for key in ProcedureOut.model_fields if key != "name"})
+            ProcedureOut(
+                name=name,
+                missing=offer.missing(present),
+                **{key: getattr(offer, key) for key in ProcedureOut.model_fields if key not in ("name", "missing")},
+            )
             for name, offer in PROCEDURES.items()
         )
         robots = tuple(preset_names("robots"))

@@ -141,14 +141,14 @@ def operator_routes(of: Commands) -> APIRouter:
 LEASE_POLL_INTERVAL_S = 0.25
 
 
-async def watch_operator(lease: Lease, supervisor: Supervisor) -> None:
-    """Report to the station each time the operator is lost; run until cancelled."""
+async def watch_operator(lease: Lease, lost: Callable[[], None]) -> None:
+    """Call `lost()` in a thread each time the operator is lost; run until cancelled."""
     had_operator = False
     while True:
         await asyncio.sleep(LEASE_POLL_INTERVAL_S)
         has_operator = lease.holder() is not None
         if had_operator and not has_operator:
-            await asyncio.to_thread(supervisor.operator_gone)
+            await asyncio.to_thread(lost)
         had_operator = has_operator
 
 

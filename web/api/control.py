@@ -32,6 +32,7 @@ from web.api.schemas import (
     DoneOut,
     ErrorOut,
     ExperimentOut,
+    MarkIn,
     SolveIn,
     SolveOut,
     StartIn,
@@ -143,6 +144,11 @@ def control_routes(
     async def reset(request: Request, permit: Permitted) -> DoneOut:
         note = await asyncio.to_thread(supervisor.reset, stopper(of.lease, sender_of(request)), permit)
         return DoneOut(state=supervisor.status().state.name, note=note)
+
+    @router.post("/mark", summary="Mark the present moment of the run in its recording", **of.command)
+    def mark(request: MarkIn) -> DoneOut:
+        supervisor.mark(request.text)
+        return DoneOut(state=supervisor.status().state.name)
 
     @router.get("/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:

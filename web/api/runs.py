@@ -24,6 +24,7 @@ from station.recording.history import (
     RunDetails,
     RunEntry,
     RunHistory,
+    RunSettings,
 )
 from station.recording.run_outcome import RecordingError
 from station.report.curves import Curve, read_curves
@@ -88,6 +89,12 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     @router.get("/{run}", responses=NOT_FOUND, summary="One run; `latest` is the newest")
     async def one(run: str) -> RunDetails:
         return await _found(history.run, run)
+
+    @router.get("/{run}/settings", responses=NOT_FOUND, summary="Settings of a recorded case, to run it again")
+    async def settings(
+        run: str, case: Annotated[str, Query(description="may be omitted if the run has only one case")] = ""
+    ) -> RunSettings:
+        return await _found(history.settings, run, case)
 
     @router.put("/{run}/notes", responses=NOT_FOUND, summary="Set notes, title, star or tags of a run")
     async def notes(run: str, body: NotesIn) -> RunDetails:

@@ -17,7 +17,7 @@ from web.api.commands import Commands, Permitted
 from web.api.control import listening_to, run_out
 from web.api.schemas import StartOut
 from web.scene.cameras import VIEWS
-from web.scene.marks import Legend, signs, tube_signs
+from web.scene.marks import TUBE_MAGNIFICATION, Legend, signs, tube_signs
 from web.scene.overlays import ViewOptions
 from web.scene.view import SceneView
 
@@ -72,7 +72,8 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
     def legend() -> Legend:
         supervisor = service.supervisor
         entries = signs(target=supervisor.bench.can_track_target)
-        return Legend(signs=entries, tubes=tube_signs(supervisor.robot), views=VIEWS)
+        tubes = tube_signs(supervisor.robot)
+        return Legend(signs=entries, tubes=tubes, views=VIEWS, magnification=TUBE_MAGNIFICATION)
 
     @router.websocket("/tip")
     async def tip(

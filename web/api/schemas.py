@@ -82,6 +82,13 @@ class DoneOut(Strict):
     """message for the operator; empty if there is nothing to report"""
 
 
+class MarkIn(Strict):
+    """Mark of the present moment of a run."""
+
+    text: Annotated[str, Field(min_length=1, max_length=200)] = "marked"
+    """what has happened, for example: touched the tip"""
+
+
 class StopOut(Strict):
     """The state after a STOP."""
 
@@ -103,6 +110,8 @@ class RunOut(Strict):
     """completed part of the motion, 0 ... 1"""
     duration: float
     """duration of the motion [s]"""
+    load: str
+    """load on the simulated tip; empty: none, or attached by hand"""
     recorded: bool
     """whether the run has, or will have, a recording; a motion to a pose has no recording"""
     recording: bool

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from station.client import FORMAT
+from station.config.loads import Load, NoLoad
 from station.control.loop import Phase
 from station.control.realtime import RELIEF, load
 from station.control.states import LATCHED, State
 from station.devices.interfaces import Condition, Severity
+from station.experiments.case_summary import describe_keys
 from station.service.contact import SideLoad
 from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
@@ -144,7 +146,8 @@ def status_out(
     if status.run is not None:
         run = RunOut(
             id=status.run.id, title=status.run.start.title, phase=status.phase.name.lower(), progress=status.progress,
-            duration=status.run.start.task.duration, recorded=status.run.start.recorded, recording=status.recording,
+            duration=status.run.start.task.duration, load=_load(status.run.start.load),
+            recorded=status.run.start.recorded, recording=status.recording,
         )  # fmt: skip
     return StatusOut(
         format=FORMAT,
@@ -200,6 +203,11 @@ def contact_out(side_load: SideLoad) -> ContactOut:
         force=(x, y, z), position=contact.arc_length if contact.located else None, intervals=contact.intervals,
         reason=contact.note,
     )  # fmt: skip
+
+
+def _load(load: Load | None) -> str:
+    """Return a text of the load of a run; empty without one."""
+    return "" if load is None or isinstance(load, NoLoad) else describe_keys(load)
 
 
 def _devices(status: StationStatus) -> dict[str, DeviceOut]:

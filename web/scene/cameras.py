@@ -1,6 +1,8 @@
 """Named views of the scene, fitted to the robot's size and to the picture, and the camera of each page."""
 
 import threading
+import time
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
@@ -11,13 +13,11 @@ import viser
 
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot, Tube
+from web.scene.content import SceneContent
+from web.scene.framing import FIELD_OF_VIEW_RAD, Camera, Vector, fit, fit_next_to_close_up
 
-#: Vertical field of view of the camera [rad].
-FIELD_OF_VIEW_RAD = np.deg2rad(35.0)
 #: Aspect ratio (width by height) that is assumed for a picture of unknown size.
 DEFAULT_ASPECT = 1.4
-#: Factor on the camera's distance that leaves a margin around the bounds.
-VIEW_MARGIN = 1.06
 #: Half the edge length of the cube around the tip that the view "Tip" shows [m].
 TIP_VIEW_HALF_EDGE_M = 0.03
 
@@ -26,8 +26,11 @@ LATERAL_SHARE = 0.45
 
 #: Direction in the world frame that points up on the screen. Gravity acts along +x, so up is -x.
 _UP = (-1.0, 0.0, 0.0)
+#: View that shows what is drawn now and follows it; all other views show a fixed part of the world.
+FOLLOWING_VIEW = "Frame"
 #: Two vectors of each view, world frame: from the picture's centre to the camera (any length), and up on the screen.
-DIRECTIONS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
+DIRECTIONS: dict[str, tuple[Vector, Vector]] = {
+    FOLLOWING_VIEW: ((-0.40, -0.88, 0.30), _UP),
     "Overview": ((-0.42, -0.85, 0.42), _UP),
     "Side": ((0.0, -1.0, 0.0), _UP),
     "Above": ((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
@@ -60,19 +63,11 @@ class ViewBounds(NamedTuple):
         return np.stack([axis.ravel() for axis in np.meshgrid(*ends.T, indexing="ij")], axis=1)
 
 
-class Camera(NamedTuple):
-    """Position and orientation of a camera."""
-
-    eye: Array  #: position (3,) [m]
-    centre: Array  #: point at the centre of the picture (3,) [m]
-    up: Array  #: direction (3,) that points up in the picture, world frame
-
-
 def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
     """Return the camera as near as possible to the robot such that the picture contains all bounds of the view.
 
     Args:
-        view: one of `VIEWS`.
+        view: one of `VIEWS`; for `FOLLOWING_VIEW` while nothing is drawn.
         robot: bounds of the robot's reach.
         tip: present tip (3,) [m].
         aspect: aspect ratio of the picture (width by height).
@@ -80,19 +75,10 @@ def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
     shown = robot
     if view == "Tip":
         shown = ViewBounds(tip - TIP_VIEW_HALF_EDGE_M, tip + TIP_VIEW_HALF_EDGE_M)
-    elif view == "Overview":
+    elif view in ("Overview", FOLLOWING_VIEW):
         middle, along = robot.middle, robot.upper - robot.lower == np.max(robot.upper - robot.lower)
         shown = ViewBounds(*(middle + np.where(along, 1.0, LATERAL_SHARE) * (end - middle) for end in robot))
-    direction, up = (np.array(vector) for vector in DIRECTIONS[view])
-    toward = direction / np.linalg.norm(direction)
-    right = np.cross(up, toward)
-    right /= np.linalg.norm(right)
-    corners = shown.corners - shown.middle
-    half = np.tan(0.5 * FIELD_OF_VIEW_RAD)
-    sideways = np.abs(corners @ right) / (half * aspect)
-    upward = np.abs(corners @ np.cross(toward, right)) / half
-    distance = float(np.max(corners @ toward + VIEW_MARGIN * np.maximum(sideways, upward)))
-    return Camera(shown.middle + distance * toward, shown.middle, up)
+    return fit(shown.corners, *DIRECTIONS[view], aspect)
 
 
 SAMPLING_STEP = 1e-3  #: distance between the points of a tube at which its curvature is sampled [m]
@@ -148,22 +134,44 @@ def _curvature(tube: Tube, at: Array) -> Array:
 
 #: Query parameter by which the proxy sends the page's identity to viser.
 CLIENT_PARAMETER = "client"
-#: If a camera is at most this far from its first position, the user has not moved it [scene units].
-SAME_CAMERA_DISTANCE = 1e-3
+#: If a camera differs from the expected one by at most this much, the user has not moved it (`Camera.distance_to`).
+SAME_CAMERA = 0.01
+#: Differences from the best camera that start a movement of the camera: while one path is drawn, and for a new path.
+REFRAME, REFRAME_NEW_PATH = 0.15, 0.03
+#: Duration of a movement of the camera [s].
+MOVEMENT_S = 0.8
+#: Number of commanded cameras that a page may still report, and number of pages whose last camera is kept.
+COMMANDED_CAMERAS, KEPT_PAGES = 60, 32
+
+
+class _Page:
+    """Camera of one page: while it follows, the movement to the best camera."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.client = client
+        self.following = False
+        self.commanded: deque[Camera] = deque(maxlen=COMMANDED_CAMERAS)
+        self.path: Array | None = None  #: drawn path for which the picture was framed
+        self.movement: tuple[Camera, Camera, float] | None = None  #: first camera, last camera, start time [s]
+
+    def expects(self, camera: Camera) -> bool:
+        """Return whether the page may report this camera although the user has not moved it."""
+        return any(one.distance_to(camera) < SAME_CAMERA for one in self.commanded)
 
 
 class Cameras:
-    """Sets the camera of a page to a named view."""
+    """Camera of each page: named views, and the view that follows what is drawn until the user moves the camera."""
 
     def __init__(
-        self, server: viser.ViserServer, extent: ViewBounds, unit: float, tip: Callable[[], Array | None]
+        self, server: viser.ViserServer, extent: ViewBounds, unit: float, drawn: Callable[[], SceneContent]
     ) -> None:
-        """`extent`: bounds of the robot that the views show; `tip` returns the present position of the tip (3,) [m]."""
-        self._server, self._extent, self._unit, self._tip = server, extent, unit, tip
+        """`extent`: bounds of the robot that the fixed views show; `drawn` returns the content of the last picture."""
+        self._server, self._extent, self._unit, self._drawn = server, extent, unit, drawn
         self._lock = threading.Lock()
-        self._clients: dict[str, viser.ClientHandle] = {}
+        self._pages: dict[str, _Page] = {}
+        self._last: OrderedDict[str, Camera] = OrderedDict()  # last cameras of disconnected pages that followed
         server.scene.set_up_direction("-x")
-        first = self._camera("Overview", DEFAULT_ASPECT)
+        first = camera(FOLLOWING_VIEW, extent, np.zeros(3), DEFAULT_ASPECT)
         initial = server.initial_camera
         initial.fov, initial.position, initial.look_at = FIELD_OF_VIEW_RAD, unit * first.eye, unit * first.centre
         initial.near, initial.far = 0.01 * unit, 10.0 * unit
@@ -171,49 +179,98 @@ class Cameras:
         # viser calls this function in its own thread when a page connects.
         @server.on_client_connect
         async def _(client: viser.ClientHandle) -> None:
+            page, who = _Page(client), self._who(client)
             with self._lock:
-                self._clients[self._who(client)] = client
-            # The camera of a new page has viser's initial position and is set to the overview. If a page reconnects,
-            # its camera is not changed, because the user may have chosen this camera.
-            fitted = False
+                self._pages[who] = page
+                last = self._last.pop(who, None)
 
-            async def fit(_: viser.CameraHandle) -> None:
-                nonlocal fitted
-                if (
-                    not fitted
-                    and np.linalg.norm(np.array(client.camera.position) - unit * first.eye) < SAME_CAMERA_DISTANCE
-                ):
-                    fitted = True
-                    self._set_camera(client, "Overview")
+            # A page follows if its camera has the initial position, or after a reconnection the last one that was set.
+            # The user may have chosen any other camera, so it is not changed.
+            async def moved(_: viser.CameraHandle) -> None:
+                now = self._reported(client)
+                with self._lock:
+                    if page.following and not page.expects(now):
+                        page.following, page.movement = False, None
+                    if page.commanded or all(
+                        one is None or one.distance_to(now) > SAME_CAMERA for one in (first, last)
+                    ):
+                        return
+                self._show(page, FOLLOWING_VIEW)
 
-            client.camera.on_update(fit)
-            await fit(client.camera)
+            client.camera.on_update(moved)
+            await moved(client.camera)
 
         @server.on_client_disconnect
         async def _(client: viser.ClientHandle) -> None:
             with self._lock:
-                for who in [who for who, one in self._clients.items() if one is client]:
-                    del self._clients[who]
+                for who in [who for who, page in self._pages.items() if page.client is client]:
+                    page = self._pages.pop(who)
+                    if page.following:
+                        self._last[who] = page.commanded[-1]
+                while len(self._last) > KEPT_PAGES:
+                    self._last.popitem(last=False)
 
     def set_view(self, who: str, view: str) -> bool:
         """Set the camera of page `who` to a view; return whether the page is connected and the view is known."""
         with self._lock:
-            client = self._clients.get(who)
-        if client is None or view not in VIEWS:
+            page = self._pages.get(who)
+        if page is None or view not in VIEWS:
             return False
-        self._set_camera(client, view)
+        self._show(page, view)
         return True
 
-    def _camera(self, view: str, aspect: float) -> Camera:
-        tip = self._tip()
-        return camera(view, self._extent, self._extent.middle if tip is None else tip, aspect)
+    def follow(self, *, reframe: bool) -> None:
+        """Move the cameras that follow; to be called with each picture. `reframe`: also check what they show."""
+        with self._lock:
+            pages = [page for page in self._pages.values() if page.following]
+        for page in pages:
+            if page.movement is None and reframe:
+                self._start_movement(page)
+            if page.movement is not None:
+                self._move(page)
 
-    def _set_camera(self, client: viser.ClientHandle, view: str) -> None:
-        target = self._camera(view, client.camera.aspect)
-        with client.atomic():
-            client.camera.up_direction = target.up
-            client.camera.position = self._unit * target.eye
-            client.camera.look_at = self._unit * target.centre
+    def _start_movement(self, page: _Page) -> None:
+        path = self._drawn().path
+        now, best = page.commanded[-1], self._camera(FOLLOWING_VIEW, page.client.camera.aspect)
+        threshold = REFRAME if path is page.path or not len(path) else REFRAME_NEW_PATH
+        page.path = path
+        if now.distance_to(best) > threshold:
+            with self._lock:
+                page.movement = (now, best, time.monotonic())
+
+    def _move(self, page: _Page) -> None:
+        with self._lock:
+            if page.movement is None or not page.following:
+                return
+            first, last, start = page.movement
+            share = min((time.monotonic() - start) / MOVEMENT_S, 1.0)
+            if share == 1.0:
+                page.movement = None
+            self._set_camera(page, first.toward(last, share**2 * (3.0 - 2.0 * share)))
+
+    def _show(self, page: _Page, view: str) -> None:
+        target = self._camera(view, page.client.camera.aspect)
+        with self._lock:
+            page.following, page.movement, page.path = view == FOLLOWING_VIEW, None, self._drawn().path
+            self._set_camera(page, target)
+
+    def _camera(self, view: str, aspect: float) -> Camera:
+        drawn = self._drawn()
+        if view == FOLLOWING_VIEW and len(drawn.robot):
+            return fit_next_to_close_up(drawn.framed, *DIRECTIONS[view], aspect)
+        return camera(view, self._extent, self._extent.middle if drawn.tip is None else drawn.tip, aspect)
+
+    def _reported(self, client: viser.ClientHandle) -> Camera:
+        position, look_at, up = client.camera.position, client.camera.look_at, client.camera.up_direction
+        return Camera(np.array(position) / self._unit, np.array(look_at) / self._unit, np.array(up))
+
+    def _set_camera(self, page: _Page, target: Camera) -> None:
+        page.commanded.append(target)
+        camera = page.client.camera
+        with page.client.atomic():
+            camera.up_direction = target.up
+            camera.position = self._unit * target.eye
+            camera.look_at = self._unit * target.centre
 
     def _who(self, client: viser.ClientHandle) -> str:
         """Return the page's identity, which the proxy adds to the address that viser receives."""

@@ -10,8 +10,10 @@ from station.control.loop import MotionTask
 from station.control.task import StreamLimits
 from station.service.status import StationStatus
 
-#: Length of each tube's distal part that is sent to the close-up [m], and the number of points that describe it.
-CENTRE_LINE_M, CENTRE_LINE_POINTS = 0.10, 20
+#: Length of each tube's distal part that is sent to the close-up [m].
+CLOSE_UP_LENGTH_M = 0.10
+#: Points of the plate and its guide that the following view shows, relative to the point where the tubes leave [m].
+GUIDE_CORNERS_M = np.array([(x, 0.0, z) for x in (-0.02, 0.02) for z in (-0.02, 0.0)])
 #: Largest number of points of the desired path that are sent to the close-up.
 PATH_POINTS = 240
 
@@ -30,12 +32,21 @@ class SceneContent(NamedTuple):
     contact: str  #: position of a contact on the shaft as text; empty if the force acts at the tip
     trace: Array  #: recent positions of the measured tip, oldest first (n, 3) [m]
     path: Array  #: desired path of the tip (m, 3) [m]
+    robot: Array = np.empty((0, 3))  #: drawn centre line from the plate to the tip (k, 3) [m]
+    model_end: Array = np.empty((0, 3))  #: end of the model's centre line (k, 3) [m]; empty near the measured tip
+    model_error: float | None = None  #: distance of the model's tip from the measured tip [m], smoothed
 
     @property
     def tip(self) -> Array | None:
         """Best known position of the tip (3,) [m]; None: unknown."""
-        known = (self.estimated, self.measured, *(line[-1] for line in self.tubes[:1] if len(line)))
+        known = (*(line[-1] for line in self.tubes[:1] if len(line)), self.estimated, self.measured)
         return next((tip for tip in known if tip is not None), None)
+
+    @property
+    def framed(self) -> Array:
+        """Points (k, 3) [m] that the following view shows: robot with its guide, path, trace and load."""
+        place = NO_POINTS if self.place is None else self.place[None]
+        return np.concatenate((self.robot, self.robot[:1] + GUIDE_CORNERS_M, self.path, self.trace, place))
 
     def to_json(self) -> dict[str, Any]:
         """Return the content as the page receives it."""
@@ -50,6 +61,8 @@ class SceneContent(NamedTuple):
             "place": _mm(self.place),
             "contact": self.contact,
             "trace": _mm(self.trace),
+            "model_end": _mm(self.model_end),
+            "model_error": None if self.model_error is None else round(1e3 * self.model_error, 2),
             "path": _mm(self.path[:: len(self.path) // PATH_POINTS + 1]),
         }
 

@@ -12,7 +12,7 @@ from core.robot.robot import Array
 from station.control.follow import TARGET_LOST_S
 from station.control.ring import Ring
 from station.control.telemetry import Channels
-from station.devices.interfaces import Severity
+from station.devices.interfaces import ABSENT, Severity
 from station.service.status import STALE_AFTER_S, StationStatus
 
 
@@ -126,13 +126,14 @@ class Validity(NamedTuple):
     row: bool  #: whether the control loop writes telemetry
     joints: bool  #: whether the stages answer
     tip: bool  #: whether the tracker measures the tip
-    force: bool  #: whether the force sensors measure and the force estimate is updated
+    force: bool  #: whether the force on the tip is known
+    absent: frozenset[str] = frozenset()  #: values that this bench does not measure at all
 
     @property
     def message(self) -> str:
         """Text that lists the stale values; empty if all are current."""
         parts = {"joints": self.joints, "tip": self.tip, "force": self.force}
-        missing = [name for name, known in parts.items() if not known]
+        missing = [name for name, known in parts.items() if not known and name not in self.absent]
         return f"not measured now: {', '.join(missing)}" if missing else ""
 
 
@@ -143,9 +144,11 @@ def validity_of(status: StationStatus, history: TipTrace) -> Validity:
     """Return the validity of the newest telemetry row."""
     if not status.values or status.age > STALE_AFTER_S or len(history.recent) == 0:
         return NOTHING
+    _, tracker, sensors = status.values["trouble"] == ABSENT
     return Validity(
         row=True,
         joints=bool(status.values["trouble"][0] < Severity.HOLD),
         tip=history.now - history.measured <= MAX_TIP_AGE_S,  # not every row has a new frame
         force="force" not in status.stale_groups,
+        absent=frozenset({"tip"} if tracker else ()) | ({"force"} if tracker and sensors else frozenset()),
     )

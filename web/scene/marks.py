@@ -9,13 +9,17 @@ from core.robot.robot import Array, Robot
 from station.config import palette
 from station.config.strict import Strict
 from station.service.contact import SideLoad
+from web.scene.grid import COARSE_SPACING_M, FINE_SPACING_M
 from web.scene.overlays import UNCERTAINTY_SCALE, UNCERTAINTY_SIGMAS
-from web.scene.robot_mesh import centre_line
+from web.scene.robot_mesh import Bend, centre_line
+
+#: Factor on the drawn diameter of the tubes: at their true diameter they are two pixels wide in most views.
+TUBE_MAGNIFICATION = 2.0
 
 #: Number of points of the line that marks each section of the shaft.
 MARK_POINTS = 24
 #: Diameter of the line that marks the 95 % section of the shaft, and radius of the sphere at the contact's most likely
-#: position [m]. Both are thicker than the tubes, so that the tubes do not hide them.
+#: position, for tubes at their true diameter [m]. Both are thicker than the tubes, so that the tubes do not hide them.
 THICKNESS_M, MARKER_M = 4.4e-3, 3.2e-3
 
 
@@ -36,10 +40,12 @@ class ContactMark:
         """Hide the marker and its section."""
         self._marker.visible = self._section.visible = False
 
-    def draw(self, side_load: SideLoad, shape: Array) -> Array:
-        """Show a contact on the shaft, given the model's `shape`; return its most likely position (3,) [m]."""
-        position = centre_line(shape, np.array([side_load.contact.arc_length]))[0][0]
-        sections = [_segments(shape, first, last) for first, last in side_load.contact.intervals]
+    def draw(self, side_load: SideLoad, shape: Array, bend: Bend, magnification: float) -> Array:
+        """Show a contact on the drawn shaft; return its most likely position (3,) [m]."""
+        position = _points(shape, bend, np.array([side_load.contact.arc_length]))[0]
+        sections = [_segments(shape, bend, first, last) for first, last in side_load.contact.intervals]
+        self._section.thickness = THICKNESS_M * self._unit * magnification
+        self._marker.radius = MARKER_M * self._unit * magnification
         self._section.points = np.concatenate(sections).astype(np.float32)
         self._marker.position = self._unit * position
         self._marker.visible = side_load.contact.located
@@ -47,9 +53,13 @@ class ContactMark:
         return position
 
 
-def _segments(shape: Array, first: float, last: float) -> Array:
-    """Return the segments (k, 2, 3) [m] of the centre line between two arc lengths [m]."""
-    line = centre_line(shape, np.linspace(first, last, MARK_POINTS))[0]
+def _points(shape: Array, bend: Bend, arc: Array) -> Array:
+    return centre_line(shape, arc)[0] + bend.at(arc)
+
+
+def _segments(shape: Array, bend: Bend, first: float, last: float) -> Array:
+    """Return the segments (k, 2, 3) [m] of the drawn centre line between two arc lengths [m]."""
+    line = _points(shape, bend, np.linspace(first, last, MARK_POINTS))
     return np.stack((line[:-1], line[1:]), axis=1)
 
 
@@ -139,6 +149,8 @@ class Legend(Strict):
     """innermost first"""
     views: tuple[str, ...]
     """names of the camera's views"""
+    magnification: float
+    """factor on the drawn diameter of the tubes, unless they are drawn at their true diameter"""
 
 
 def signs(*, target: bool) -> tuple[LegendEntry, ...]:
@@ -158,6 +170,12 @@ def signs(*, target: bool) -> tuple[LegendEntry, ...]:
         ),
         LegendEntry(name="contact on the shaft, 95 %", colour=css(palette.CONTACT), shape="bar"),
         LegendEntry(name="reference path", colour=css(palette.DESIRED), shape="line"),
+        LegendEntry(name="end of the model, off the tracker", colour=css(palette.ESTIMATED), shape="line"),
+        LegendEntry(
+            name=f"grid, {1e3 * FINE_SPACING_M:.0f} mm and {1e3 * COARSE_SPACING_M:.0f} mm",
+            colour=css(palette.GREY),
+            shape="line",
+        ),
         LegendEntry(name="shape without load (on demand)", colour=css(palette.SLATE), shape="line"),
         LegendEntry(name="workspace without load (on demand)", colour=css(palette.SKY), shape="halo"),
         LegendEntry(

@@ -142,6 +142,8 @@ class ViewOptions(Strict):
     uncertainty: bool = False
     """two standard deviations of the estimated tip, magnified ten times; the region is a sphere, because the
     observer has one covariance for all three axes"""
+    true_diameter: bool = False
+    """the tubes at their true diameter instead of magnified"""
     target: bool = False
     """a target that can be dragged, to check whether the tip can reach the target"""
     force: bool = False

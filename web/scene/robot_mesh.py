@@ -1,8 +1,10 @@
-"""Meshes of the robot: the tubes at their true radii around the model's centre line, and the stages.
+"""Meshes of the robot: the tubes around the drawn centre line, and the stages.
 
 A tube is drawn over its whole length, from its proximal end behind the plate to its distal end. Behind the plate the
 guide keeps the tubes straight. A wider tube hides the narrower one inside it.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import viser
@@ -49,6 +51,33 @@ def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
     return position, np.stack((x, np.cross(tangent, x), tangent), axis=2)
 
 
+class Bend(NamedTuple):
+    """Change of the drawn shape, so that the tubes end at the measured tip; the control loop does not use it.
+
+    The displacement grows with the square of the arc length, as that of a cantilever does near its clamp: it leaves
+    the position and the tangent at the plate unchanged.
+    """
+
+    offset: Array  #: displacement of the tip (3,) [m]
+    length: float  #: arc length of the tip from the plate [m]
+
+    def at(self, arc: Array) -> Array:
+        """Return the displacements (k, 3) [m] at arc lengths (k,) [m]."""
+        return np.clip(arc / self.length, 0.0, 1.0)[:, None] ** 2 * self.offset
+
+
+class TubeLine(NamedTuple):
+    """Drawn centre line of one tube, from its proximal end to its distal end."""
+
+    arc: Array  #: arc lengths from the plate (k,) [m]; negative behind the plate
+    position: Array  #: positions (k, 3) [m]
+    frame: Array  #: frames (k, 3, 3) whose last column is the model's tangent
+
+    def beyond(self, arc: float) -> Array:
+        """Return the positions (n, 3) [m] from an arc length [m] to the distal end."""
+        return self.position[self.arc >= arc]
+
+
 class TubeMesh:
     """Surface mesh of one tube: vertices that follow its shape, and triangles that do not depend on it."""
 
@@ -60,15 +89,25 @@ class TubeMesh:
         self.count = (rings + 2) * sides + 2  #: number of vertices
         self.faces = _faces(rings, sides)  #: vertex indices (f, 3), anticlockwise from outside
 
-    def vertices(self, shape: Array, beta: float) -> Array:
-        """Return the vertices (v, 3) [m] of the tube for a `shape` of the model.
+    def line(self, shape: Array, beta: float, bend: Bend | None = None) -> TubeLine:
+        """Return the drawn centre line for a `shape` of the model and a proximal end at `beta` [m].
+
+        A bend moves the positions and keeps the frames, because it turns them by a degree or two only.
+        """
+        arc = np.linspace(beta, beta + self._tube.length, self._rings)
+        position, frame = centre_line(shape, arc)
+        return TubeLine(arc, position if bend is None else position + bend.at(arc), frame)
+
+    def vertices(self, line: TubeLine, magnification: float = 1.0) -> Array:
+        """Return the vertices (v, 3) [m] of the tube around a centre line, with its diameter magnified.
 
         The vertices of the rings come first, from the proximal end, then rim and centre of each end. The rims are
-        repeated so that the ends are shaded flat. `beta` is the position of the tube's proximal end [m].
+        repeated so that the ends are shaded flat.
         """
-        position, frame = centre_line(shape, np.linspace(beta, beta + self._tube.length, self._rings))
-        rings = position[:, None, :] + np.einsum("kij,aj->kai", frame[:, :, :2], self._circle)
-        return np.concatenate((rings.reshape(-1, 3), rings[0], position[:1], rings[-1], position[-1:]))
+        across = magnification * np.einsum("kij,aj->kai", line.frame[:, :, :2], self._circle)
+        rings = line.position[:, None, :] + across
+        ends = rings[0], line.position[:1], rings[-1], line.position[-1:]
+        return np.concatenate((rings.reshape(-1, 3), *ends))
 
 
 def _faces(rings: int, sides: int) -> NDArray[np.int64]:

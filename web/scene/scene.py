@@ -15,12 +15,14 @@ from station.control.loop import MotionTask, Phase
 from station.service.contact import SideLoad
 from station.service.status import StationStatus
 from station.service.supervisor import Supervisor
-from web.scene.cameras import DEFAULT_ASPECT, camera, extent, translations
-from web.scene.content import CENTRE_LINE_M, CENTRE_LINE_POINTS, NO_POINTS, NOTHING, SceneContent, path
+from web.scene.cameras import DEFAULT_ASPECT, FOLLOWING_VIEW, camera, extent, translations
+from web.scene.content import CLOSE_UP_LENGTH_M, NO_POINTS, NOTHING, SceneContent, path
 from web.scene.grid import Grid, draw_grid
 from web.scene.history import TRACE_BIN_S, TRACE_SPAN_S, TipTrace, Validity, validity_of
-from web.scene.marks import ContactMark, PointingMark, TargetMark
-from web.scene.robot_mesh import StageMesh, TubeMesh, centre_line
+from web.scene.lights import add_lights
+from web.scene.marks import TUBE_MAGNIFICATION, ContactMark, PointingMark, TargetMark
+from web.scene.model_error import ModelEnd, TipOffset
+from web.scene.robot_mesh import Bend, StageMesh, TubeMesh
 
 #: Number of scene units in a metre.
 UNITS_PER_M = 10.0
@@ -43,10 +45,12 @@ class Scene:
         self._near: Solution | None = None
         self._task: MotionTask | None = None
         self._loaded = False  # whether the force arrow is shown
+        self._magnification = TUBE_MAGNIFICATION
         scene, robot, limits = server.scene, supervisor.robot, supervisor.bench.robot.limits()
         self.extent = extent(robot, limits)  #: bounds for the cameras
-        first = camera("Overview", self.extent, np.zeros(3), DEFAULT_ASPECT)
+        first = camera(FOLLOWING_VIEW, self.extent, np.zeros(3), DEFAULT_ASPECT)
         draw_grid(scene, Grid.around(self.extent), float(np.linalg.norm(first.eye - first.centre)), UNITS_PER_M)
+        add_lights(scene)
         self._stage = StageMesh(scene, robot, float(translations(robot, limits)[0].min()), UNITS_PER_M)
         self._tubes = [TubeMesh(tube) for tube in robot.tubes]
         self._meshes = [
@@ -61,16 +65,17 @@ class Scene:
             visible=False,
         )  # fmt: skip
         self._measured = scene.add_icosphere(
-            "/tip/measured", radius=0.0022 * UNITS_PER_M, color=palette.MEASURED, cast_shadow=False, visible=False
+            "/tip/measured", radius=0.0032 * UNITS_PER_M, color=palette.MEASURED, cast_shadow=False, visible=False
         )
         self._estimated = scene.add_box(
-            "/tip/estimated", color=palette.ESTIMATED, dimensions=np.full(3, 0.0032 * UNITS_PER_M), cast_shadow=False,
+            "/tip/estimated", color=palette.ESTIMATED, dimensions=np.full(3, 0.0044 * UNITS_PER_M), cast_shadow=False,
             visible=False,
         )  # fmt: skip
         self._force = scene.add_arrows(
             "/force/arrow", np.zeros((1, 2, 3)), palette.FORCE,
             shaft_radius=0.0011, head_radius=0.003, head_length=0.008, scale=UNITS_PER_M, visible=False,
         )  # fmt: skip
+        self._offset, self._model_end = TipOffset(), ModelEnd(scene, UNITS_PER_M)
         self._contact = ContactMark(scene, UNITS_PER_M)
         self._target = TargetMark(scene, UNITS_PER_M)
         self._pointing = PointingMark(scene, UNITS_PER_M)
@@ -84,11 +89,23 @@ class Scene:
         )  # fmt: skip
         self._path_points = NO_POINTS
 
-    def update(self, status: StationStatus, history: TipTrace, side_load: SideLoad | None = None) -> None:
+    def update(
+        self,
+        status: StationStatus,
+        history: TipTrace,
+        side_load: SideLoad | None = None,
+        *,
+        true_diameter: bool = False,
+    ) -> None:
         """Draw one frame. Stale values are not drawn as current, and an unchanged path is not sent again.
 
-        `side_load` is a load that acts on the shaft instead of the tip.
+        Args:
+            status: status of the station.
+            history: recent telemetry.
+            side_load: load that acts on the shaft instead of the tip.
+            true_diameter: draw the tubes at their true diameter instead of magnified.
         """
+        self._magnification = 1.0 if true_diameter else TUBE_MAGNIFICATION
         now = validity_of(status, history)
         moving = now.row and status.phase is Phase.MOVING
         measured = status.values["tip_measured"] if now.tip else None
@@ -101,16 +118,16 @@ class Scene:
             mesh.opacity = None if now.joints else FADED_OPACITY
         if not now.row:
             self._hide_load()
-            self._put(self._estimated, None)
+            self._hide_model()
             message = "stale: no telemetry" if status.values else NOTHING.message
             self.drawn = self.drawn._replace(
                 message=message, age=status.age if status.values else 0.0, estimated=None, measured=None, desired=None,
-                force=None, place=None, contact="",
+                force=None, place=None, contact="", model_end=NO_POINTS, model_error=None,
             )  # fmt: skip
             return
         force = history.mean("force") if now.force else np.zeros(3)
         self._draw_path(status)
-        self._draw_robot(status, force, side_load if now.force else None, now)
+        self._draw_robot(status, force, side_load if now.force else None, now, measured)
         self.drawn = self.drawn._replace(
             message=now.message, age=status.age, measured=measured, desired=desired, trace=history.trace,
             path=self._path_points if moving else NO_POINTS,
@@ -124,8 +141,10 @@ class Scene:
             ends = np.concatenate((np.repeat(tips[:1], TRACE_POINTS + 1 - len(tips), axis=0), tips))
             self._trace.points = np.stack((ends[:-1], ends[1:]), axis=1).astype(np.float32)
 
-    def _draw_robot(self, status: StationStatus, force: Array, side_load: SideLoad | None, now: Validity) -> None:
-        """Draw the tubes as the loaded model predicts them, and the load at the point where the load acts."""
+    def _draw_robot(
+        self, status: StationStatus, force: Array, side_load: SideLoad | None, now: Validity, measured: Array | None
+    ) -> None:
+        """Draw the tubes as the loaded model predicts them, bent to the measured tip, and the load where it acts."""
         joints = status.values["joints"]
         _, beta = self._supervisor.robot.tube_poses(joints)
         length = float(beta[0]) + self._supervisor.robot.tubes[0].length
@@ -135,30 +154,34 @@ class Scene:
         except CtrError:
             # The model has no solution: the drawn tubes stay unchanged, and the control loop reports the cause.
             self._near = None
-            self._put(self._estimated, None)
+            self._hide_model()
             self._hide_load()
-            self.drawn = self.drawn._replace(tubes=(), estimated=None, force=None, place=None, contact="")
+            self.drawn = self.drawn._replace(
+                tubes=(), estimated=None, force=None, place=None, contact="", model_end=NO_POINTS, model_error=None
+            )
             return
         shape = self._statics.shape(self._near)
-        for tube, mesh, start in zip(self._tubes, self._meshes, beta, strict=True):
-            mesh.vertices = tube.vertices(shape, float(start)).astype(np.float32)
+        offset = self._offset.update(None if measured is None or not now.joints else measured - self._near.tip)
+        bend = Bend(offset, length)
+        lines = [tube.line(shape, float(start), bend) for tube, start in zip(self._tubes, beta, strict=True)]
+        for tube, mesh, line in zip(self._tubes, self._meshes, lines, strict=True):
+            mesh.vertices = tube.vertices(line, self._magnification).astype(np.float32)
             mesh.visible = True
         self._stage.move(beta)
         estimated = self._near.tip if now.force and now.joints else None
         self._put(self._estimated, estimated)
-        position = self._near.tip
+        model_end = self._model_end.draw(shape, length, self._offset)
+        position = self._near.tip + offset
         if side_load is None:
             self._contact.hide()
         else:
-            position = self._contact.draw(side_load, shape)
+            position = self._contact.draw(side_load, shape, bend, self._magnification)
         shown = self._draw_force(position, force)
         self.drawn = self.drawn._replace(
-            tubes=tuple(
-                _end_of_line(shape, max(length - CENTRE_LINE_M, float(start)), min(float(start) + tube.length, length))
-                for tube, start in zip(self._supervisor.robot.tubes, beta, strict=True)
-            ),
+            tubes=tuple(line.beyond(length - CLOSE_UP_LENGTH_M) for line in lines),
             estimated=estimated, force=force if shown else None, place=position if shown else None,
-            contact=_contact_text(side_load),
+            contact=_contact_text(side_load), robot=lines[0].beyond(0.0), model_end=model_end,
+            model_error=self._offset.error,
         )  # fmt: skip
 
     def _draw_force(self, position: Array, force: Array) -> bool:
@@ -183,6 +206,11 @@ class Scene:
             for name in ("direction_observed", "direction_desired")
         )
         self._pointing.draw(tip, observed, desired if moving else None)
+
+    def _hide_model(self) -> None:
+        self._offset.update(None)
+        self._model_end.hide()
+        self._put(self._estimated, None)
 
     def _hide_load(self) -> None:
         self._loaded = self._force.visible = False
@@ -213,11 +241,6 @@ def _contact_text(side_load: SideLoad | None) -> str:
     if side_load is None:
         return ""
     return side_load.position_text if side_load.contact.located else "position unknown"
-
-
-def _end_of_line(shape: Array, start: float, end: float) -> Array:
-    """Return points (k, 3) [m] of the centre line between two arc lengths [m]; empty if `end` is not beyond `start`."""
-    return centre_line(shape, np.linspace(start, end, CENTRE_LINE_POINTS))[0] if end > start else NO_POINTS
 
 
 def _fade(colour: palette.Colour, count: int) -> np.ndarray:

@@ -52,7 +52,7 @@ class SceneView:
         self._limits = service.supervisor.bench.robot.limits()
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
         self._scene = Scene(server, service.supervisor)
-        self.cameras = Cameras(server, self._scene.extent, UNITS_PER_M, lambda: self._scene.drawn.tip)
+        self.cameras = Cameras(server, self._scene.extent, UNITS_PER_M, lambda: self._scene.drawn)
         self._contact_monitor = ContactMonitor(
             service.supervisor.robot, service.supervisor.statics, service.supervisor.channels
         )
@@ -170,12 +170,13 @@ class SceneView:
         status = self._supervisor.status()
         self._history.read(self._supervisor.ring)
         with self._server.atomic():
-            self._scene.update(status, self._history, self.side_load())
+            self._scene.update(status, self._history, self.side_load(), true_diameter=self._shown.true_diameter)
             self._overlay(status)
             if slow:
                 self._scene.update_trace(self._history)
                 self._show_target()
                 self._update_force_handle(status)
+        self.cameras.follow(reframe=slow)
 
     def _overlay(self, status: StationStatus) -> None:
         values = status.values

@@ -4,14 +4,14 @@ The frame of the scene is excluded: its contents are viser's page, which this pr
 """
 
 import re
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import PATIENCE, open_tab
 from tests.harness.serving import Served
 
 AXE = Axe()
@@ -22,31 +22,29 @@ OPTIONS = {
 }
 TABS = ("start", "jog", "plots", "runs", "devices", "calibrate", "faults")
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 0.5}
+SCHEMES: tuple[Literal["dark", "light"], ...] = ("dark", "light")
 SIZES = [(1280, 720), (390, 844), (720, 450)]
 
 
 def violations(page: Page) -> list[tuple[str, str, str]]:
-    """Return rule, element and explanation of each violation on the visible page."""
-    found: list[dict[str, Any]] = AXE.run(page, {"exclude": [["#scene"]]}, OPTIONS).response["violations"]
+    """Return rule, element and explanation of each violation on the visible page, in the light and the dark theme."""
+    found: list[dict[str, Any]] = []
+    for scheme in SCHEMES:
+        page.emulate_media(color_scheme=scheme)
+        found += AXE.run(page, {"exclude": [["#scene"]]}, OPTIONS).response["violations"]
     return [(each["id"], node["html"], node["failureSummary"]) for each in found for node in each["nodes"]]
 
 
-@pytest.fixture(params=["light", "dark"])
-def themed(request: pytest.FixtureRequest, page: Page) -> Page:
-    page.emulate_media(color_scheme=request.param)
-    return page
-
-
 @pytest.mark.parametrize(("width", "height"), SIZES)
-def test_axe_finds_no_violation_in_any_tab(themed: Page, width: int, height: int) -> None:
-    themed.set_viewport_size({"width": width, "height": height})
+def test_axe_finds_no_violation_in_any_tab(page: Page, width: int, height: int) -> None:
+    page.set_viewport_size({"width": width, "height": height})
     try:
         for name in TABS:
-            open_tab(themed, name)
-            themed.locator(f"#{name} > :not(.dim)").first.wait_for()
-            assert violations(themed) == [], name
+            open_tab(page, name)
+            page.locator(f"#{name} > :not(.dim):visible").first.wait_for()
+            assert violations(page) == [], name
     finally:
-        themed.set_viewport_size({"width": 1280, "height": 720})
+        page.set_viewport_size({"width": 1280, "height": 720})
 
 
 def experiment(page: Page) -> None:
@@ -73,27 +71,65 @@ def recorded_run(page: Page) -> None:
     page.locator(".result").wait_for()
 
 
+@pytest.fixture
+def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    context.set_default_timeout(PATIENCE)
+    page = context.new_page()
+    page.route("**/viser/**", lambda route: route.abort())
+    page.goto(station.url)
+    page.locator("#welcome").wait_for()
+    yield page
+    context.close()
+
+
+def test_axe_finds_no_violation_in_welcome_tour_palette_help_queue_and_run(first_visit: Page, station: Served) -> None:
+    page = first_visit
+    page.locator("#state", has_text="READY").wait_for()
+    assert violations(page) == []
+    page.get_by_role("button", name="Show me around").click()
+    assert violations(page) == []
+    page.get_by_role("button", name="Skip").click()
+    page.keyboard.press("Control+k")
+    page.get_by_role("option", name="Case fig8").first.wait_for()
+    assert violations(page) == []
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="help").click()
+    assert violations(page) == []
+    page.get_by_role("button", name="Close", exact=True).click()
+    station.post("/api/queue", {"trajectory": {"kind": "hold"}, "duration": 600.0, "repeat": 3})
+    page.locator("#queue li.running").wait_for()
+    page.locator("#now").wait_for()
+    assert violations(page) == []
+    station.post("/api/stop")
+    page.locator("#queue", has_text="paused").wait_for()
+    station.ready()
+    page.locator("#state", has_text="READY").wait_for()
+    assert violations(page) == []
+    station.rest.delete("/api/queue")
+
+
 @pytest.mark.parametrize("open_view", [experiment, free_motion, procedure, recorded_run])
 def test_axe_finds_no_violation_in_a_form_or_a_result(
-    station: Served, themed: Page, open_view: Callable[[Page], None]
+    station: Served, page: Page, open_view: Callable[[Page], None]
 ) -> None:
     station.post("/api/start", HOLD)
     station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
-    open_view(themed)
+    open_view(page)
     try:
-        assert violations(themed) == []
+        assert violations(page) == []
     finally:
-        themed.get_by_role("button", name=re.compile("all (motions|procedures|runs)")).first.click()
+        page.get_by_role("button", name=re.compile("all (motions|procedures|runs)")).first.click()
 
 
-def test_axe_finds_no_violation_in_a_dialog_or_a_latched_state(station: Served, themed: Page) -> None:
+def test_axe_finds_no_violation_in_a_dialog_or_a_latched_state(station: Served, page: Page) -> None:
     station.rest.delete("/api/operator")
     for name, button in (("start", "Take control"), ("devices", "Home…")):
-        open_tab(themed, name)
-        themed.get_by_role("button", name=button).last.click()
-        themed.get_by_role("dialog").wait_for()
-        assert violations(themed) == [], button
-        themed.keyboard.press("Escape")
+        open_tab(page, name)
+        page.get_by_role("button", name=button).last.click()
+        page.get_by_role("dialog").wait_for()
+        assert violations(page) == [], button
+        page.keyboard.press("Escape")
     station.post("/api/stop")
-    themed.locator("#latched", has_text="What does this mean?").wait_for()
-    assert violations(themed) == []
+    page.locator("#latched", has_text="What does this mean?").wait_for()
+    assert violations(page) == []

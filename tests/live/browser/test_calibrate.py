@@ -98,7 +98,21 @@ def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboar
         page.locator("#course .task").wait_for(state="hidden")
         assert confirmed == ["POST"]
     finally:
-        page.unroute_all()
+        page.unroute_all(behavior="wait")  # an answer to a poll may still be on its way
+
+
+def test_opened_form_stays_when_a_calibration_ends(calibrate: Page) -> None:
+    page, courses = calibrate, [ASKS]
+    page.route("**/api/calibration", lambda route: route.fulfill(json=route.fetch().json() | {"course": courses[-1]}))
+    try:
+        page.locator("#course .task:visible").wait_for()
+        page.locator("#calibrate .card", has_text="Axes").click()
+        courses.append(ASKS | {"stage": "stopped", "on": False, "instruction": ""})
+        page.locator("#course .ended:visible").wait_for()
+        page.get_by_role("button", name="Start: ").wait_for()
+        page.get_by_role("button", name="Dismiss").click()
+    finally:
+        page.unroute_all(behavior="wait")
 
 
 def test_aborted_calibration_writes_no_result_and_shows_the_cause(

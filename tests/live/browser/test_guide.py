@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, SIZE
+from tests.harness.chromium import PATIENCE, SIZE, VISITED
 from tests.harness.serving import Served
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
@@ -34,6 +34,14 @@ def palette(page: Page) -> None:
     page.get_by_role("combobox", name="action").wait_for()
 
 
+def choose(page: Page, letters: str, name: str) -> None:
+    """Carry out the action of the palette that some letters find."""
+    palette(page)
+    page.keyboard.type(letters)
+    page.get_by_role("option", name=name).wait_for()
+    page.keyboard.press("Enter")
+
+
 @pytest.mark.parametrize("opened", [help_dialog, palette])
 def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
     page: Page, station: Served, opened: Callable[[Page], None]
@@ -53,6 +61,14 @@ def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
     assert station.status()["state"] == "READY"
 
 
+def test_help_mark_at_the_error_explains_the_true_and_the_measured_tip(page: Page, station: Served) -> None:
+    page.get_by_role("button", name="explain true and tracker").click()
+    assert page.get_by_role("dialog", name="Help").get_by_text("only a virtual lab knows it").is_visible()
+    page.keyboard.press("Escape")
+    page.get_by_role("dialog", name="Help").wait_for(state="hidden")
+    assert station.status()["state"] == "READY"
+
+
 def test_palette_carries_out_the_action_found_by_some_letters(page: Page, station: Served) -> None:
     palette(page)
     page.keyboard.type("opplot")
@@ -63,6 +79,9 @@ def test_palette_carries_out_the_action_found_by_some_letters(page: Page, statio
     page.get_by_role("option", name="Experiment fig10").wait_for()
     page.keyboard.press("Enter")
     page.get_by_role("button", name="Start experiment").wait_for()
+    choose(page, "case fig10 feedf", "Case fig10")
+    page.get_by_label("case").get_by_role("option", selected=True).wait_for(state="attached")
+    assert page.get_by_label("case").input_value() == "feedforward"
     page.get_by_role("button", name="all motions").click()
     assert station.status()["state"] == "READY"
 
@@ -74,6 +93,25 @@ def test_palette_shows_why_an_action_is_not_possible_and_does_not_carry_it_out(p
     page.keyboard.press("Enter")
     assert page.get_by_role("combobox", name="action").is_visible()
     page.keyboard.press("Escape")
+
+
+def test_palette_takes_and_releases_control(page: Page, station: Served) -> None:
+    station.rest.delete("/api/operator")
+    page.locator("#operator", has_text="No operator").wait_for()
+    choose(page, "take control", "Take control")
+    page.get_by_role("dialog").get_by_label("your name").fill("Ada")
+    page.keyboard.press("Enter")
+    page.locator("#operator", has_text="You are operator").wait_for()
+    assert station.status()["operator"]["name"] == "Ada"
+    choose(page, "release", "Release control")
+    station.wait_for(lambda s: s["operator"]["name"] is None)
+
+
+def test_palette_stops_a_motion(page: Page, station: Served) -> None:
+    station.post("/api/start", HOLD)
+    page.locator("#state", has_text="RUNNING").wait_for()
+    choose(page, "stop", "STOP every axis")
+    station.wait_for(lambda s: s["state"] == "STOPPED")
 
 
 def test_page_title_shows_the_state_and_the_run(page: Page, station: Served) -> None:
@@ -98,6 +136,68 @@ def test_first_visit_offers_the_demo_and_a_tour_that_can_be_left(first_visit: Pa
     page.reload()
     page.locator(".card").first.wait_for()
     assert page.locator("#welcome").count() == 0
+
+
+def test_tour_is_left_by_escape_at_rest_and_escape_stops_a_motion_first(first_visit: Page, station: Served) -> None:
+    page = first_visit
+    page.get_by_role("button", name="Show me around").click()
+    page.get_by_role("button", name="Next").click()
+    for key in ("Shift+Space", "Escape"):
+        station.post("/api/start", HOLD)
+        page.locator("#state", has_text="RUNNING").wait_for()
+        page.keyboard.press(key)
+        page.locator("#state", has_text="STOPPED").wait_for()
+        assert page.get_by_text("2 of 3").is_visible()
+        station.ready()
+        page.locator("#state", has_text="READY").wait_for()
+    page.keyboard.press("Escape")
+    page.locator("#welcome").wait_for(state="detached")
+    assert page.locator(".pointed-at").count() == 0
+    assert station.status()["state"] == "READY"
+
+
+SPY = """
+window.noted = []; window.tones = 0;
+const Original = window.Notification, start = OscillatorNode.prototype.start;
+window.Notification = class extends Original {
+  constructor(title, options) { super(title, options); noted.push(`${title}: ${options.body}`); }
+};
+OscillatorNode.prototype.start = function (...at) { tones += 1; return start.apply(this, at); };
+Object.defineProperty(document, 'hidden', {get: () => window.away === true, configurable: true});
+"""
+
+
+def test_end_of_a_run_and_a_stop_are_notified_by_title_icon_sound_and_browser(
+    station: Served, browser: Browser
+) -> None:
+    context = browser.new_context(viewport=SIZE, permissions=["notifications"])
+    context.set_default_timeout(PATIENCE)
+    context.add_init_script(VISITED + SPY)
+    page = context.new_page()
+    page.route("**/viser/**", lambda route: route.abort())
+    page.goto(station.url)
+    page.locator("#state", has_text="READY").wait_for()
+    help_dialog(page)
+    for name in ("sound at the end", "notification of the browser"):
+        page.get_by_role("checkbox", name=name).check()
+    page.get_by_role("button", name="Close", exact=True).click()
+    ready_icon, tones = page.locator("#icon").get_attribute("href"), page.evaluate("tones")
+    page.evaluate("window.away = true")
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 0.5})
+    page.wait_for_function("() => document.title.startsWith('complete · hold')")
+    page.wait_for_function("() => noted.length === 1 && noted[0].startsWith('The run is complete: hold')")
+    page.wait_for_function("tones => window.tones > tones", arg=tones)
+    page.evaluate(
+        "() => { window.away = false; document.dispatchEvent(new Event('visibilitychange')); window.away = true; }"
+    )
+    page.wait_for_function("() => document.title === 'ctr-station'")
+    station.post("/api/start", HOLD)
+    page.locator("#state", has_text="RUNNING").wait_for()
+    page.locator("#stop").click()
+    page.wait_for_function("() => noted.length === 2 && noted[1].startsWith('STOPPED: ')")
+    assert page.title() == "STOPPED"
+    assert page.locator("#icon").get_attribute("href") != ready_icon
+    context.close()
 
 
 def test_demo_of_the_first_visit_starts_with_one_press(first_visit: Page, station: Served) -> None:

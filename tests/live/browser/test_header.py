@@ -33,6 +33,7 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
         page.locator(".card", has_text="Keep the tip where it is").click()
         start = page.locator("button:enabled", has_text="Start motion")
         start.wait_for()
+        place = start.bounding_box()
         try:
             station.process.send_signal(signal.SIGSTOP)
             page.wait_for_function("() => document.body.classList.contains('stale')")
@@ -40,13 +41,18 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
             page.locator("#notes", has_text="nothing was started").wait_for()
             page.locator("#silence", has_text="no data for").wait_for()
             page.locator("#age", has_text="no data for").wait_for()
+            assert page.locator("button", has_text="Start motion").bounding_box() == place
         finally:
             station.process.send_signal(signal.SIGCONT)
         page.wait_for_function("() => !document.body.classList.contains('stale')")
         page.locator("#silence").wait_for(state="hidden")
+        station.post("/api/start", HOLD)
+        page.locator("#now").wait_for()
         station.end()
         page.locator("#state", has_text="NO ANSWER").wait_for()
+        assert page.locator("#now").is_visible()
         page.locator("#silence", has_text="The station does not answer").wait_for()
+        page.locator("#next", has_text="start the station").wait_for()
         assert page.locator("#state").evaluate(CONTRAST) >= 4.5
         assert page.locator("#silence").evaluate(CONTRAST) >= 4.5
         assert page.locator("#act button:enabled").count() == 0

@@ -105,10 +105,14 @@ def test_gamepad_has_no_effect_without_control_and_the_page_shows_the_reason(pag
     says(page, "hold a shoulder button")
     station.rest.post("/api/operator", json={"name": "Anna", "take_over": True})
     says(page, "'Anna' is operator")
-    pad(page, LEFT, held=True)
+    pad(page, LEFT, held=True, obeys=False)
     wait_until_at_rest(station)
     station.rest.delete("/api/operator")
-    says(page, "hold a shoulder button")  # a button that was pressed before has no effect until the user releases it
+    # A button that was pressed before has no effect until the user releases it.
+    says(page, "release its button, then press it again")
+    wait_until_at_rest(station)
+    pad(page, LEFT, held=False)
+    says(page, "hold a shoulder button")
 
 
 def test_arrow_keys_move_the_tip_while_they_are_held_in_the_jog_field(page: Page, station: Served) -> None:

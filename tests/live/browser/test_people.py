@@ -1,18 +1,17 @@
-"""Several clients, some of them hostile: two operators, a viewer, a page of another site, forged messages."""
+"""Several clients, some of them hostile: two operators, a viewer, a page of another site."""
 
 import http.server
 import threading
 from collections.abc import Iterator
 
 import httpx
-import msgspec
 import pytest
 import viser
 from playwright.sync_api import Browser, Page
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.harness.chromium import PATIENCE, SLOWLY, bare_page
+from tests.harness.chromium import bare_page
 from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
@@ -39,6 +38,7 @@ def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser
         ben.locator("#stop").click()
         anna.locator("#state", has_text="STOPPED").wait_for()
         assert ben.locator("#reset").is_disabled()
+        ben.locator("#next", has_text="only operator 'Anna' can reset").wait_for()
         become_operator(ben, "Ben", "Take over…")
         anna.locator("#operator", has_text="Operator: Ben").wait_for()
         ben.locator("#reset").click()
@@ -120,38 +120,6 @@ def test_page_of_another_site_reads_nothing_and_moves_nothing(
     assert len(refused) >= 3
 
 
-#: Whether viser's page has the inner tube; viser exposes this for tests.
-SHOWN = "() => '/robot/inner' in (window.__viserSceneTree?.getState() ?? {})"
-
-
-def test_client_with_forged_scene_messages_changes_nothing_for_others(station: Served, browser: Browser) -> None:
-    context = browser.new_context()
-    context.set_default_timeout(PATIENCE)
-    try:
-        page = context.new_page()
-        page.add_init_script(SLOWLY)
-        page.goto(station.url)
-        page.frame_locator("#scene").locator("canvas").first.wait_for()
-        (scene,) = (frame for frame in page.frames if "/viser/" in frame.url)
-        scene.wait_for_function(SHOWN)
-        address = f"ws://127.0.0.1:{station.port}/viser/"
-        with connect(address, subprotocols=[f"viser-v{viser.__version__}"], proxy=None, max_size=None) as socket:
-            for message in (
-                {"type": "RemoveSceneNodeMessage", "name": "/robot/inner", "owner": ""},
-                {"type": "ResetGuiMessage"},
-                {"type": "GuiRemoveMessage", "uuid": "x"},
-                {"type": "RunJavascriptMessage", "source": "document.title = 'hacked'"},
-                {"type": "ShareUrlRequest"},
-            ):
-                socket.send(msgspec.msgpack.encode(message))
-            page.wait_for_timeout(1500)
-        assert scene.evaluate(SHOWN)
-        assert page.title() == "ctr-station"
-        assert station.status()["state"] == "READY"
-    finally:
-        context.close()
-
-
 # ---- beyond loopback
 
 RESET = """() => fetch('/api/reset', {method: 'POST', headers: {'content-type': 'application/json'}, body: '{}'})
@@ -195,6 +163,7 @@ def test_viewer_may_view_and_press_stop_but_starts_nothing(guarded: Served, brow
         page.locator("#state", has_text="RUNNING").wait_for()
         page.keyboard.press("Shift+Space")
         guarded.wait_for(lambda s: s["state"] == "STOPPED")
+        page.locator("#next", has_text="an operator can reset").wait_for()
         assert page.evaluate(RESET) == 403
         assert "token" not in page.evaluate("document.cookie")
 

@@ -77,8 +77,18 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     assert place == pytest.approx(moved, abs=1.5)  # tolerance: noise of the measured tip
     assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # time for the distance at 5 mm/s
     says(teach, "✓ according to the model, the tip reaches all 2")
-    teach.get_by_role("button", name="Go to the start").click()
-    teach.get_by_role("dialog").get_by_role("button", name="Go").click()
+    too_old = teach.locator(".note", has_text="nothing was started")
+
+    def started() -> bool:
+        # On a busy computer the page may start nothing, because its data are too old; then the user presses again.
+        for note in too_old.all():
+            note.get_by_role("button", name="close").click()
+        teach.get_by_role("button", name="Go to the start").click()
+        teach.get_by_role("dialog").get_by_role("button", name="Go").click()
+        until(lambda: station.status()["state"] == "RUNNING" or too_old.count() > 0)
+        return too_old.count() == 0
+
+    until(started)
     station.wait_for(lambda status: abs(status["joints"]["inner_translation"] + 0.1) < 1e-4)
     teach.get_by_text("away from the start; a motion from here").wait_for(state="hidden")
 
@@ -172,5 +182,5 @@ def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teac
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 4.0, 0.0], [8.0, 0.0, 4.0, 3.0]]
     station.rest.post("/api/operator", json={"take_over": True})
     assert station.post("/api/start", {"experiment": "taught_here"}).status_code == 202
-    station.wait_for(lambda status: status["state"] == "RUNNING" and status["run"]["title"].startswith("taught_here"))
+    station.wait_for(lambda status: status["state"] == "RUNNING" and status["run"]["title"].startswith("taught here: "))
     station.post("/api/stop")

@@ -37,7 +37,8 @@ driver = "netft"
         (PARK, "inner_translation -100 m is outside -0.13 ... -0.005 m (its travel)"),
         ("[controller]\nk1 = 100.0\n", "K1"),
         (PORTLESS, "devices.stages.port is missing: outer_rotation has no port, and the chain has none"),
-        (STAGES, "'devices.tracker' is missing (line 1); 'devices.sensors' is missing (line 1)"),
+        ('[devices.tracker]\ndriver = "aurora"\n', "'devices.stages' is missing (line 1)"),
+        ('without = ["sensors"]\n' + STAGES, "without = ['sensors']: leave out the tables of real devices instead"),
         ("seed = [1\n", "not valid TOML"),
     ],
 )  # fmt: skip

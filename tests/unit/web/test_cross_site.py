@@ -5,7 +5,6 @@
 
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
-from starlette.websockets import WebSocketDisconnect
 
 FOREIGN = [
     {"host": "evil.example"},
@@ -28,8 +27,10 @@ def test_a_cross_site_rest_request_is_refused(app: TestClient, headers: dict[str
 @pytest.mark.parametrize("headers", FOREIGN[:2])
 def test_a_cross_site_websocket_is_refused(app: TestClient, path: str, headers: dict[str, str]) -> None:
     own = {"host": app.base_url.netloc.decode()}
-    with pytest.raises(WebSocketDisconnect), app.websocket_connect(path, headers=own | headers):
+    with pytest.raises(WebSocketDenialResponse) as refused, app.websocket_connect(path, headers=own | headers):
         pass
+    assert refused.value.status_code == 403
+    assert "error" in refused.value.json()
     assert headers[next(iter(headers))].removeprefix("http://") in app.get("/api/log?count=1").json()[0]["outcome"]
 
 

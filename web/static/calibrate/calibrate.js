@@ -28,12 +28,13 @@ courseBox.append(runningBox, endedBox);
 async function sendAction(action, body = {}) {
   const answer = await sendCommand("POST", `/api/calibration/${action}`, body);
   if (answer !== null) { course = answer.course; show(); }
+  return answer !== null;
 }
 
 function show() {
   const on = course !== null && course.on;
   if (on) dismissed = false;
-  if (on !== wasOn && isOpen("calibrate")) overview();
+  if (!on && wasOn && overviewShown && isOpen("calibrate")) overview(); // a form or a result that the user opened stays
   if (!on && wasOn && course?.stage === "done") note(`calibrate ${course.what}: done`, true);
   wasOn = on;
   runningBox.hidden = !on;
@@ -59,7 +60,7 @@ function show() {
 
 // ---- available procedures
 
-let starter = null, reason = null;
+let starter = null, reason = null, overviewShown = false;
 
 function enable() {
   const status = latest(), mayStart = status !== null && mayCommand(status);
@@ -72,12 +73,19 @@ function enable() {
 
 const back = (heading) => head("all procedures", overview, heading);
 
+function offerCard(offer) {
+  const effort = offer.missing !== "" ? `${offer.missing}, which this bench does not have` : `${about(offer.seconds)}${offer.needs === "" ? "" : ` · needs ${offer.needs}`}`;
+  const shown = card(offer.title, [offer.sentence, effort], () => procedure(offer));
+  shown.disabled = offer.missing !== "";
+  return shown;
+}
+
 async function overview() {
   starter = null;
+  overviewShown = true;
   const stored = make("div", { className: "cards" });
   content.replaceChildren(
-    make("h3", {}, "Procedures"), make("div", { className: "cards" }, ...info.offers.map((offer) =>
-      card(offer.title, [offer.sentence, `${about(offer.seconds)}${offer.needs === "" ? "" : ` · needs ${offer.needs}`}`], () => procedure(offer)))),
+    make("h3", {}, "Procedures"), make("div", { className: "cards" }, ...info.offers.map(offerCard)),
     make("h3", {}, "Other tubes"), make("div", { className: "cards" },
       card("Tube exchange", ["Which calibrations remain valid after tubes were exchanged, and which to repeat."], exchange)),
     make("h3", {}, "Results"), stored,
@@ -120,8 +128,9 @@ function procedure(offer) {
     const body = { what: offer.name, way_is_clear: true };
     if (offer.scales) body.effort = Number(effort.value);
     if (offer.weighs) body.weights = parsedWeights();
-    await sendAction("start", body);
+    if (await sendAction("start", body)) overview();
   });
+  overviewShown = false;
   content.replaceChildren(form);
   enable();
 }
@@ -137,6 +146,7 @@ async function details(name) {
     return;
   }
   starter = null;
+  overviewShown = false;
   const file = (entry) => `/api/calibration/results/${encodeURIComponent(name)}/${encodeURIComponent(entry)}`;
   const copy = (text) => make("div", { className: "copied" }, make("code", {}, text), button("Copy", () =>
     navigator.clipboard.writeText(text).then(() => note("copied", true), () => note("the browser does not allow this page to copy; select the text"))));
@@ -157,6 +167,7 @@ async function details(name) {
 
 function exchange() {
   starter = null;
+  overviewShown = false;
   const robot = make("select", { "aria-label": "robot with the new tubes" }, ...info.robots.map((entry) => make("option", { value: entry }, entry)));
   const file = make("input", { type: "file", accept: ".toml", "aria-label": "robot's file" });
   const list = make("ol", { className: "todo" });
@@ -167,7 +178,7 @@ function exchange() {
     if (items === null || number !== latest) return;
     list.replaceChildren(...items.map((entry) => {
       const offer = info.offers.find((other) => other.name === entry.procedure);
-      return make("li", {}, make("label", {}, make("input", { type: "checkbox" }), ` ${entry.text} `), offer && button(offer.title, () => procedure(offer)));
+      return make("li", {}, make("label", {}, make("input", { type: "checkbox" }), ` ${entry.text} `), offer?.missing === "" ? button(offer.title, () => procedure(offer)) : null);
     }));
   };
   robot.addEventListener("change", () => requestTodo({ robot: robot.value }));

@@ -1,5 +1,5 @@
 // Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
-import { $, button, latest, make, mayCommand, note, onStatus, request, sendCommand, unit } from "../page/station.js";
+import { $, benchNote, button, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, unit } from "../page/station.js";
 import { home } from "../page/header.js";
 import { poll } from "../page/tabs.js";
 import { jogWhileHeld, mayJog } from "../jog/jog.js";
@@ -13,7 +13,8 @@ const buttons = {
 };
 const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
 const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
-$("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), list,
+const bench = make("p", { className: "small" });
+$("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), list, bench,
   make("h3", {}, "Does every axis turn in the right direction?"),
   make("p", { className: "small dim" }, "Hold a button for a second or two: the joint moves slowly in its positive direction. The tracker's motion is compared with the model's."),
   joints, make("h3", {}, "Raw values"), raw);
@@ -70,6 +71,10 @@ poll("devices", "/api/devices", 500, (all) => {
   raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
 });
 onStatus((status, stale) => {
+  if (status !== null) {
+    setText(bench, benchNote(status.devices));
+    buttons.tare.hidden = !("sensors" in status.devices);
+  }
   for (const [name, control] of Object.entries(buttons)) {
     control.disabled = stale || status === null || !ALLOWED[name].includes(status.state) || !mayCommand(status);
     control.title = control.disabled ? `possible while ${ALLOWED[name].join(" or ")}, for the operator` : "";

@@ -31,7 +31,7 @@ const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
   make("h2", { id: "help-title" }, "Help"),
   make("h3", {}, "States"), list(STATES),
   make("h3", {}, "Keys"), list(KEYS),
-  make("h3", {}, "Four tips"), list(TIPS),
+  make("h3", { id: "help-tips" }, "Four tips"), list(TIPS),
   make("h3", {}, "Notifications"), switches(),
   make("p", {}, make("a", { href: "/api/docs", target: "_blank" }, "REST interface"), " for scripts"),
   make("menu", {}, button("Close", () => dialog.close(), { className: "main" })));
@@ -42,9 +42,15 @@ export function toggleHelp() {
   if (dialog.open) dialog.close(); else dialog.show();
 }
 
+// A help mark elsewhere on the page opens its section: the event's detail is the last part of the section's id.
+document.addEventListener("help", ({ detail }) => {
+  dialog.show();
+  $(`help-${detail}`).scrollIntoView();
+});
+
 $("tools").append(button("?", toggleHelp, { title: "Help (?)", "aria-label": "help" }));
 document.addEventListener("keydown", (event) => {
   const typing = event.target.closest?.("input, textarea, select") != null;
   if (event.key === "?" && !typing) toggleHelp();
-  else if (event.key === "Escape" && dialog.open) dialog.close(); // while something moves, Escape has been taken for STOP
+  else if (event.key === "Escape" && dialog.open) { event.preventDefault(); dialog.close(); } // while something moves, Escape has been taken for STOP
 });

@@ -14,10 +14,13 @@ function icon(state) {
   return `data:image/svg+xml,${encodeURIComponent(picture)}`;
 }
 
+let finished = ""; // title of the run that has ended while the page was hidden
+document.addEventListener("visibilitychange", () => { if (!document.hidden) finished = ""; });
+
 function title(status) {
   if (status === null) return "NO ANSWER";
   const { run, state } = status;
-  if (state !== "RUNNING" || run === null) return state === "READY" ? "ctr-station" : state;
+  if (state !== "RUNNING" || run === null) return state !== "READY" ? state : finished === "" ? "ctr-station" : `complete · ${finished}`;
   return run.phase === "moving" ? `${Math.round(100 * run.progress)} % · ${clock(run.duration * (1 - run.progress))} left · ${run.title}` : `${run.phase} · ${run.title}`;
 }
 
@@ -38,6 +41,7 @@ function beep(state) {
 }
 
 function report(status) {
+  if (status.state === "READY" && document.hidden) finished = status.run.title;
   const text = status.state === "READY" ? status.run.title : status.message;
   if (chosen("sounds")) beep(status.state);
   if (chosen("notifications") && document.hidden && window.Notification?.permission === "granted") new Notification(ENDS[status.state], { body: text, tag: "ctr-station" });
@@ -60,11 +64,18 @@ export function switches() {
 
 let before = null;
 onStatus((status, stale) => {
-  document.title = title(status);
   const state = status?.state ?? "";
   if (state !== before) $("icon").href = icon(state);
+  watchEnd(status, stale);
+  document.title = title(status);
+});
+
+/** Report the end of a run, and a state that ends one. */
+function watchEnd(status, stale) {
   if (stale || status === null) return;
+  const { state } = status;
+  if (state !== "READY") finished = "";
   const ended = before === "RUNNING" && status.run !== null ? state in ENDS : ["HOLD", "STOPPED", "FAULT"].includes(state) && before !== null;
   if (ended && state !== before) report(status);
   before = state;
-});
+}

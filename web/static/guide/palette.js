@@ -1,37 +1,61 @@
 // Command palette (Ctrl+K): every action of the page by name, with the reason if it is not possible now.
 import { $, button, latest, make, mayCommand, request, sendCommand } from "../page/station.js";
-import { home } from "../page/header.js";
+import { changeOperator, home } from "../page/header.js";
 import { stop } from "../page/stop.js";
 import { openTab } from "../page/tabs.js";
 import { toggleHelp } from "./help.js";
+import { tour } from "./welcome.js";
 
-/** Actions of the page: {title, run, states (in which the action is possible; absent: in all)}. */
+const NO_ANSWER = "the station does not answer";
+const command = (method, path) => () => sendCommand(method, path, method === "POST" ? {} : undefined);
+/** Return the function that gives the reason against a command of the operator; without `states` it is possible in all. */
+const inStates = (...states) => (status) => (status === null ? NO_ANSWER : states.length > 0 && !states.includes(status.state) ? `not while ${status.state}`
+  : mayCommand(status) ? "" : status.operator.role === "viewer" ? "viewers cannot command" : `'${status.operator.name}' is operator`);
+const onlyOperator = (wanted, text) => (status) => (status === null ? NO_ANSWER : status.operator.role === "viewer" ? "viewers cannot take control" : status.operator.you === wanted ? "" : text);
+const module = (path) => import(`../${path}.js`); // a tab that cannot be loaded does not affect the palette
+
+/** Actions of the page: {title, run, against(status): why it is not possible now; absent: it is always possible}. */
 const ACTIONS = [
   { title: "STOP every axis", run: stop },
-  { title: "Connect the devices", states: ["OFF"], run: () => sendCommand("POST", "/api/connect", {}) },
-  { title: "Home the stages", states: ["CONNECTED", "READY"], run: home },
-  { title: "Zero the force sensors", states: ["READY"], run: () => sendCommand("POST", "/api/tare", {}) },
-  { title: "Reset", states: ["HOLD", "STOPPED", "FAULT"], run: () => sendCommand("POST", "/api/reset", {}) },
-  { title: "Release control", states: [], operator: true, run: () => sendCommand("DELETE", "/api/operator") },
+  { title: "Take control", against: onlyOperator(false, "this page is operator"), run: changeOperator },
+  { title: "Release control", against: onlyOperator(true, "this page is not operator"), run: changeOperator },
+  { title: "Connect the devices", against: inStates("OFF"), run: command("POST", "/api/connect") },
+  { title: "Home the stages", against: inStates("CONNECTED", "READY"), run: home },
+  { title: "Zero the force sensors", against: inStates("READY"), run: command("POST", "/api/tare") },
+  { title: "Reset", against: inStates("HOLD", "STOPPED", "FAULT"), run: command("POST", "/api/reset") },
+  { title: "Run the last run again", against: (status) => inStates("READY")(status) || (status.run?.recorded ? "" : "nothing has run yet"),
+    run: async () => (await module("run/run")).runAgain(latest().run.id) },
+  { title: "Pause the queue", against: inStates(), run: command("POST", "/api/queue/pause") },
+  { title: "Continue the queue", against: inStates(), run: command("POST", "/api/queue/resume") },
+  { title: "Clear the queue", against: inStates(), run: command("DELETE", "/api/queue") },
   ...[["start", "Run"], ["jog", "Jog"], ["plots", "Plots"], ["runs", "History"], ["devices", "Bench, Devices"], ["calibrate", "Bench, Calibrate"], ["faults", "Bench, Faults"]]
     .map(([id, name]) => ({ title: `Open ${name}`, run: () => openTab(id) })),
   { title: "Help", run: toggleHelp },
+  { title: "Show me around", run: tour },
 ];
-let experiments = []; // actions that open an experiment
+let experiments = []; // actions that open a case of an experiment, or queue all its cases
 
 /** Return why an action is not possible now; empty if it is possible. */
-function reasonAgainst({ states, operator }) {
-  const status = latest();
-  if (operator) return status?.operator.you ? "" : "this page is not operator";
-  if (states === undefined) return "";
-  if (status === null) return "the station does not answer";
-  return !states.includes(status.state) ? `not while ${status.state}` : mayCommand(status) ? "" : `'${status.operator.name}' is operator`;
+const reasonAgainst = ({ against }) => against?.(latest()) ?? "";
+
+/** Return the actions of an experiment. */
+function actionsOf(one) {
+  const name = one.name.replaceAll("_", " "), open = async (caseName) => (await module("run/run")).openExperiment(one.name, caseName);
+  const queue = { title: `Queue all cases of ${name}`, against: inStates(), run: async () => (await module("run/queue")).addToQueue({ experiment: one.name }) };
+  return [{ title: `Experiment ${name}: ${one.title}`, run: () => open() },
+    ...(one.cases.length < 2 ? [] : [queue, ...one.cases.map((each) => ({ title: `Case ${name}: ${each.words}`, run: () => open(each.name) }))])];
 }
 
 /** Return whether all letters of `query` occur in `text` in this order. */
 function matches(query, text) {
   let at = -1;
-  return [...query.toLowerCase().replaceAll(" ", "")].every((letter) => (at = text.toLowerCase().indexOf(letter, at + 1)) >= 0);
+  return [...query.replaceAll(" ", "")].every((letter) => (at = text.indexOf(letter, at + 1)) >= 0);
+}
+
+/** Return the actions that match a query; those that contain it come first. */
+function found(query) {
+  const wanted = query.trim().toLowerCase(), all = [...ACTIONS, ...experiments].map((action) => ({ action, text: action.title.toLowerCase() }));
+  return [...all.filter(({ text }) => text.includes(wanted)), ...all.filter(({ text }) => !text.includes(wanted) && matches(wanted, text))].map(({ action }) => action);
 }
 
 const field = make("input", { type: "text", placeholder: "what to do", role: "combobox", "aria-label": "action", "aria-expanded": "true", "aria-controls": "actions", autocomplete: "off" });
@@ -41,7 +65,7 @@ document.querySelector("main").append(dialog);
 let shown = [], chosen = 0, before = null; // listed actions, index of the chosen one, element that had the focus
 
 function show() {
-  shown = [...ACTIONS, ...experiments].filter(({ title }) => matches(field.value, title));
+  shown = found(field.value);
   chosen = Math.max(0, Math.min(chosen, shown.length - 1));
   list.replaceChildren(...shown.map((action, number) => {
     const reason = reasonAgainst(action);
@@ -74,7 +98,7 @@ async function open() {
   show();
   field.focus();
   const all = await request("GET", "/api/experiments?check=false").catch(() => []);
-  experiments = all.map((one) => ({ title: `Experiment ${one.name.replaceAll("_", " ")}: ${one.title}`, run: async () => (await import("../run/run.js")).openExperiment(one.name) }));
+  experiments = all.filter((one) => one.error === "").flatMap(actionsOf);
   if (dialog.open) show();
 }
 

@@ -221,9 +221,9 @@ const SPARK = { width: 64, height: 30 };
 
 /**
  * Return a chart of `lines`: [{name, time: [s], value: []}], with the values under the pointer. The value axis starts at
- * 0. The time before `from` [s] is shaded, because the errors before that time do not count.
+ * 0. The time before `from` [s] is shaded, because the errors before that time do not count. `marks`: [{time: [s], text}].
  */
-export function curve(title, unit, lines, from = 0) {
+export function curve(title, unit, lines, from = 0, marks = []) {
   const drawn = lines.filter((one) => one.time.length > 0).map((one, i) => ({ ...one, style: LINE_STYLES[i % LINE_STYLES.length] }));
   if (drawn.length === 0) return make("p", { className: "small dim" }, `${title}: nothing was recorded`);
   const { width, height, left, right, top, bottom } = SMALL;
@@ -246,6 +246,9 @@ export function curve(title, unit, lines, from = 0) {
     const showAt = (moment) => { output.textContent = moment === null ? "" : ` ${value[nearest(time, moment)].toPrecision(3)} ${unit}`; };
     return { element: make("span", { className: "key" }, key, output), showAt };
   });
+  for (const { time, text } of marks.filter((one) => one.time >= 0 && one.time <= end)) {
+    picture.append(svg("line", { x1: x(time), x2: x(time), y1: top, y2: bottom, class: "noted" }), svg("text", { x: x(time) + 3, y: top + 9, class: "noted" }, text));
+  }
   const mark = svg("line", { y1: top, y2: bottom, class: "mark", visibility: "hidden" });
   picture.append(mark);
   picture.addEventListener("pointermove", (event) => {

@@ -60,9 +60,10 @@ function build(key, field, value, required, choices) {
     return { elements: cells(make("span", {}, box)), read: () => box.checked };
   }
   if (core.enum || choices) {
-    const select = make("select", { "aria-label": label }, ...(core.enum ?? choices).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
-    select.value = value ?? select.options[0].value;
-    return { elements: cells(select), read: () => select.value };
+    const names = [...(optional ? [""] : []), ...(core.enum ?? choices)]; // the station chooses an omitted value
+    const select = make("select", { "aria-label": label }, ...names.map((one) => make("option", { value: one }, one === "" ? "automatic" : one.replaceAll("_", " "))));
+    select.value = value ?? names[0];
+    return { elements: cells(select), read: () => (select.value === "" ? undefined : select.value) };
   }
   if (core.type === "number" || core.type === "integer") {
     const input = numberInput(core, value, scale, required && !optional, label);

@@ -70,7 +70,8 @@ function showAction(status) {
 
 let mine = false, leaving = false; // whether this page is operator; whether this page is releasing control on purpose
 
-async function changeOperator() {
+/** Release control if this page is operator; otherwise ask, then take control. */
+export async function changeOperator() {
   const { you, name: current } = latest().operator;
   if (you) {
     leaving = true;
@@ -146,8 +147,13 @@ $("mind").addEventListener("click", () => openTab("faults"));
 
 const isSilent = () => dataAge() > SILENT_AFTER_S;
 let simulated = false; // whether the last status was one of simulated devices
+let shownAt = performance.now();
 
 function showSilence() {
+  // After the browser itself was busy, for example with the first drawing of the scene, answers are waiting to be read.
+  const now = performance.now(), wasBusy = now - shownAt > 500;
+  shownAt = now;
+  if (wasBusy) return;
   const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = age > LOST_AFTER_S;
   $("age").hidden = !isSilent();
   setText($("age"), text);
@@ -187,14 +193,17 @@ function showLatched(state, details) {
   setText(meaning.lastChild, details); // address, device and raw values, which the message omits
 }
 
+/** Next step of a user who is not operator, in a state that lasts until a reset. */
+const whoResets = ({ name, role }) => (role === "viewer" ? "an operator can reset the station" : `only operator '${name}' can reset the station; take over to reset it yourself`);
+
 onStatus((status) => {
   const state = status === null ? "NO ANSWER" : status.state;
   setText($("state"), state);
   $("state").dataset.state = state;
   showLatched(state, status?.details ?? "");
   if (status === null) {
-    setText($("says"), "");
-    setText($("next"), "");
+    setText($("says"), "what the page shows is old");
+    setText($("next"), "start the station, or wait for its answer");
     return;
   }
   simulated = status.simulated;
@@ -203,7 +212,7 @@ onStatus((status) => {
   $("badge").dataset.simulated = simulated;
   $("badge").title = status.lab;
   setText($("says"), status.message);
-  setText($("next"), status.next);
+  setText($("next"), state in LATCHED && !mayCommand(status) ? whoResets(status.operator) : status.next);
   if (!(state in LATCHED)) $("message").title = [status.message, status.next].filter((text) => text !== "").join(": ");
   $("reset").hidden = !(state in LATCHED);
   showUsable(status);

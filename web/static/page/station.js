@@ -246,6 +246,15 @@ export async function ensureFresh() {
 export const mayCommand = (now = status) =>
   now !== null && now.operator.role === "operator" && (now.operator.you || now.operator.name === null);
 
+/** What a bench that lacks a tracker or force sensors can do, as a sentence; empty for a bench with all devices. */
+export function benchNote(devices) {
+  const tracker = "tracker" in devices, sensors = "sensors" in devices;
+  if (tracker && sensors) return "";
+  if (tracker) return "This bench has stages and a tracker, but no force sensors: the force is estimated from the deflection of the tip. Everything works but the calibration and the tare of force sensors.";
+  return sensors ? "This bench has stages and force sensors, but no tracker: the loaded model computes the tip, and its error is not measured. Calibrations need a tracker."
+    : "This bench has stages alone: the tip moves by the unloaded model, and nothing measures the tip or the force. Home, Jog, and motions with the inner loop “unloaded” work.";
+}
+
 export function start() {
   setInterval(pollStatus, POLL_INTERVAL_MS);
   // Stale data must be marked even while a request is pending.

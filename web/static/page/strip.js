@@ -23,17 +23,20 @@ function timeLeft() {
 const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off target" : "target not seen") : "error");
 /** Return the error by the tracker as an addition to the true one, which only a virtual lab knows; empty without a motion. */
 const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker ${size.toFixed(2)}` : ""; };
+/** Whether the bench has no force sensors, so that the force is estimated from the deflection of the tip. */
+const byDeflection = (sample) => sample?.trouble?.[2] === -1 && sample.force_filtered !== null;
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Quantity with a colour on the page, name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { quantity: "error", name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer" },
+  { quantity: "error", name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
-  { quantity: "force", name: () => "force", unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
-  { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "no current force measurement" },
+  { quantity: "force", name: (sample) => (byDeflection(sample) ? "force, est." : "force"), unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
+  { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "needs force sensors that measure" },
   { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running" },
 ].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output") }));
 
-for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown));
+const helpMark = (section) => button("?", () => document.dispatchEvent(new CustomEvent("help", { detail: section })), { className: "help-mark", "aria-label": "explain true and tracker" });
+for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown, cell.help ? helpMark(cell.help) : null));
 
 /** Show the values. Old ones turn grey at once and disappear after a second, so that a busy computer does not blank them. */
 function show() {
@@ -66,6 +69,7 @@ async function reportEnd(run) {
   const numbers = largest === "–" ? ended(result) : `${SHAPES[result.label] ?? "○"} ${result.label} · error at most ${largest}, RMS ${rms} mm${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
   $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: result.label }, numbers)),
     button("Result", async () => (await import("../runs/runs.js")).showRun(run.id)),
+    button("Run again", async () => (await import("../run/run.js")).runAgain(run.id), { title: "Start a run with the same settings" }),
     button("×", () => { $("ended").hidden = true; }, { "aria-label": "close" }));
   $("ended").hidden = false;
 }

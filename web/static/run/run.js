@@ -5,6 +5,8 @@ import { form, poseText, schemas, sentence, variants } from "../page/form.js";
 import { card, head, openTab } from "../page/tabs.js";
 import { go } from "../jog/jog.js";
 import { change, origin, rows } from "./waypoint_list.js";
+import { box as now } from "./now.js";
+import { addToQueue, box as queue } from "./queue.js";
 import { waypoints } from "./waypoints.js";
 
 /** Initial values of form fields without a default, SI. */
@@ -21,6 +23,8 @@ const FINAL_PAUSE_S = 3;
 /** If each joint is at most this far from its start position, the start needs no confirmation [rad, m]. */
 const NEAR_START = { rad: 0.02, m: 0.001 };
 
+const content = make("div"); // the list of motions, or the form of one
+$("start").replaceChildren(now, queue, content);
 let loaded = null, starting = false, blockedReason = "", rig = null, submitButton = null, refusal = null;
 
 /** Show a form; its button `label` starts a motion. */
@@ -34,7 +38,7 @@ function open(title, children, label, onStart) {
     if (await ensureFresh()) await onStart(); // disabled meanwhile, because the station first checks the path on the model
     starting = false;
   });
-  $("start").replaceChildren(element);
+  content.replaceChildren(element);
   $("start").scrollTop = 0;
   refresh();
 }
@@ -49,7 +53,7 @@ async function overview() {
   const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
   const experiments = make("div", {}, make("p", { className: "dim" }, "loading …"));
   submitButton = null;
-  $("start").replaceChildren(
+  content.replaceChildren(
     experiments,
     make("h3", {}, "Free motions, from the current pose"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
@@ -85,20 +89,34 @@ function showExperiments(list, all) {
     make("summary", {}, `${unavailable.length} that cannot be started here`), ...groupedByReason(unavailable)));
 }
 
-/** Open an experiment from another part of the page. */
-export async function openExperiment(name) {
+/** Open a case of an experiment (by default the first case) from another part of the page. */
+export async function openExperiment(name, caseName) {
   openTab("start");
   const all = loaded ?? await request("GET", "/api/experiments?check=false").catch(() => []);
   const one = all.find((each) => each.name === name && each.error === "");
-  if (one !== undefined) experiment(one);
+  if (one === undefined || !one.cases.some((each) => each.name === (caseName ?? each.name))) note(`'${name}${caseName === undefined ? "" : `, ${caseName}`}' is not an experiment of this station any more`);
+  else experiment(one, caseName);
+}
+
+/** Open the form of a recorded run with its settings, and press its button. */
+export async function runAgain(id) {
+  let run;
+  try { run = await request("GET", `/api/runs/${encodeURIComponent(id)}/settings`); } catch (error) { note(error.message); return; }
+  const { experiment: name, case: caseName, settings } = run, all = await schemas(), schema = variants(all, all.StartIn.properties.trajectory)[settings.trajectory?.kind];
+  if (name === "" && schema === undefined) { note("this run has no settings to run again: an external program controlled it"); return; }
+  openTab("start");
+  if (name !== "") await openExperiment(name, caseName);
+  else if (settings.trajectory.kind === "waypoints") restoreMotion({ ...settings, start: null }, schema, all);
+  else motion(settings.trajectory.kind, schema, all, settings);
+  if (submitButton !== null && !submitButton.disabled) submitButton.form.requestSubmit();
 }
 
 /** Return the unavailable experiments, grouped by their reason. */
 const groupedByReason = (all) => [...new Set(all.map(refusalOf))].map((reason) => make("p", { className: "small" },
   make("b", {}, all.filter((one) => refusalOf(one) === reason).map((one) => one.name.replaceAll("_", " ")).join(", ")), `: ${inPageUnits(reason)}`));
 
-function experiment(one) {
-  const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name }, each.words)));
+function experiment(one, caseName = one.cases[0].name) {
+  const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name, selected: each.name === caseName }, each.words)));
   const facts = make("div", { className: "rows" });
   const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" });
   const show = () => {
@@ -123,6 +141,8 @@ function experiment(one) {
       make("p", { className: "dim" }, `Now: ${poseText(rig.joints, now)}. Check that the path is clear. STOP works at any time.`))) return;
     await startRun({ experiment: one.name, case: chosen.name }, chosen.warnings);
   });
+  submitButton.after(button("Add to queue", () => addToQueue({ experiment: one.name, case: select.value })),
+    ...(one.cases.length > 1 ? [button(`Add all ${one.cases.length} cases to queue`, () => addToQueue({ experiment: one.name }))] : []));
 }
 
 function union(all, field, kind, title, values = INITIAL_VALUES[kind]) {
@@ -157,6 +177,7 @@ function motion(kind, schema, all, values = {}) {
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
     load?.element, controlFields(control)], "Start motion", () => startRun(read()));
+  submitButton.after(button("Add to queue", () => { if (submitButton.form.reportValidity()) addToQueue(read()); }));
 }
 
 /** Show the form of a run that follows external targets while this page is operator. */
@@ -230,9 +251,9 @@ function saved(kind, motionOf, restore) {
   return make("div", { className: "acts" }, name, save, loadBox);
 }
 
-/** Show a saved motion in its form. The start pose of the motion is the saved one. */
+/** Show a saved motion in its form. The start pose of the motion is the saved one; without one, the current pose. */
 function restoreMotion(stored, schema, all) {
-  change({ rows: stored.trajectory.points, origin: { tip: null, joints: stored.start } });
+  change({ rows: stored.trajectory.points, origin: stored.start === null ? null : { tip: null, joints: stored.start } });
   motion("waypoints", schema, all, stored);
 }
 

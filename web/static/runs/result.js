@@ -23,7 +23,7 @@ export function errorSummary(run) {
 }
 
 /** Return the outcome of a run and its cause. */
-export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.label}${run.cause === "" ? "" : `: ${run.cause}`}`;
+export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.cause === "" ? run.label : run.cause.startsWith(run.label) ? run.cause : `${run.label}: ${run.cause}`}`;
 
 function numbers(run) {
   const cases = Object.entries(run.outcomes), many = cases.length > 1;
@@ -45,7 +45,8 @@ function numbers(run) {
 function pictures(cases) {
   const lines = (what) => cases.filter(([, one]) => one[what] !== null).map(([name, one]) => ({ name, ...one[what] }));
   const from = Math.min(...cases.map(([, one]) => one.counted_from));
-  return make("div", {}, curve("Distance from the desired tip", "mm", lines("error"), from), curve("Force at the tip", "N", lines("force")));
+  const marks = cases.flatMap(([, one]) => one.marks);
+  return make("div", {}, curve("Distance from the desired tip", "mm", lines("error"), from, marks), curve("Force at the tip", "N", lines("force"), 0, marks));
 }
 
 /** Request the curves of a run by case. The first request takes some seconds. */
@@ -137,13 +138,25 @@ function heading(run, index) {
   return `${index + 1}: ${run.title || run.experiment || run.id}, ${start}`;
 }
 
-/** Return a table row for each entry in which the summaries of two runs differ. */
-function differences(runs) {
-  const [a, b] = runs.map((run) => new Map(flat({ ...run.summary, label: run.label })));
+/** Return a table row for each entry in which two objects differ. */
+function differences(objects) {
+  const [a, b] = objects.map((one) => new Map(flat(one)));
   return [...new Set([...a.keys(), ...b.keys()])].filter((key) => a.get(key) !== b.get(key)).map((key) => {
     const [x, y] = [a.get(key), b.get(key)], difference = typeof x === "number" && typeof y === "number" ? readable(y - x) : "≠";
     return make("tr", {}, make("td", { className: "any" }, key), text(readable(x)), text(readable(y)), text(difference));
   });
+}
+
+/** Return a table of the settings in which the first cases of two runs differ. */
+function differentSettings(runs) {
+  const rows = make("tbody"), element = make("div", {}, make("h3", {}, "Settings that differ (SI)"), make("table", { className: "settings" }, rows));
+  const say = (message) => rows.replaceChildren(make("tr", {}, make("td", { className: "dim" }, message)));
+  say("loading …");
+  Promise.all(runs.map((run) => request("GET", `${address(run.id, "settings")}?case=${encodeURIComponent(run.cases[0] ?? "")}`))).then((recorded) => {
+    const found = differences(recorded.map(({ settings, ...names }) => ({ ...names, ...settings })));
+    if (found.length === 0) say("none: both runs have the same settings"); else rows.replaceChildren(make("tr", {}, ...["setting", "1", "2", "2 − 1"].map((one, i) => make("th", { className: i === 0 ? "" : "number" }, one))), ...found);
+  }).catch((error) => say(`no settings: ${error.message}`));
+  return element;
 }
 
 function overlaidCurves(runs) {
@@ -171,5 +184,5 @@ export function comparison(chosen) {
   const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),
-    folded("All differences", () => differences(runs)));
+    differentSettings(runs), folded("All differences of the results", () => differences(runs.map((run) => ({ ...run.summary, label: run.label })))));
 }

@@ -168,7 +168,8 @@ async function details(id) {
     head("all runs", overview, titleOf(run)),
     card(run),
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
-    make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")), star),
+    make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")),
+      run.cases.length === 1 ? button("Run again", async () => (await import("../run/run.js")).runAgain(id), { title: "Start a run with the same settings" }) : null, star),
     ...downloads(run),
     make("h3", {}, "Notes"), make("div", { className: "rows" }, make("label", {}, "title"), make("div", { className: "wide" }, title), make("label", {}, "tags"), make("div", { className: "wide" }, tags)), notes,
     make("div", { className: "acts" }, save, removal, unsaved.element),
@@ -182,7 +183,7 @@ const FORMATS = { csv: "CSV", parquet: "Parquet", mat: "MATLAB" };
 /** Return a line with the downloads of each case of a run; none if nothing was recorded. */
 const downloads = (run) => run.cases.map((one) => make("p", { className: "small" }, run.cases.length > 1 ? `${one.replaceAll("_", " ")}: ` : "Download: ",
   make("a", { href: `${address(run.id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`),
-  ...Object.entries(FORMATS).flatMap(([format, name]) => [" · ", make("a", { href: `${address(run.id, "export")}?format=${format}&case=${encodeURIComponent(one)}`, download: "" }, name)])));
+  ...Object.entries(FORMATS).flatMap(([format, name]) => [" · ", make("a", { href: `${address(run.id, "export")}?format=${format}&case=${encodeURIComponent(one)}`, download: "", onclick: () => note(`The station writes the ${name} file. The download starts when the file is complete.`, true) }, name)])));
 
 /** Open the page of a run from another tab. */
 export function showRun(id) {

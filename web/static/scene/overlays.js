@@ -1,6 +1,7 @@
 // Overlays of the scene: buttons of the views, a foldable legend, and the close-up of the tip.
-import { $, button, client, make, request, stream } from "../page/station.js";
+import { $, button, client, make, request, setText, stream } from "../page/station.js";
 import { cleared } from "../page/chart.js";
+import { openTab } from "../page/tabs.js";
 
 const legend = await request("GET", "/api/scene/legend");
 
@@ -14,7 +15,8 @@ const row = ({ name, colour, shape }) => {
   return make("li", {}, mark, name);
 };
 const legendBox = make("details", { id: "legend" }, make("summary", {}, "Legend"),
-  make("ul", {}, ...legend.signs.map(row), ...legend.tubes.map((tube) => row({ ...tube, shape: "bar" }))));
+  make("ul", {}, ...legend.signs.map(row), ...legend.tubes.map((tube) => row({ ...tube, shape: "bar" })),
+    make("li", { id: "magnified" }, `tubes drawn ×${legend.magnification}`)));
 legendBox.open = (localStorage.getItem("legend") ?? (innerWidth >= 1700 ? "open" : "folded")) === "open";
 legendBox.addEventListener("toggle", () => localStorage.setItem("legend", legendBox.open ? "open" : "folded"));
 
@@ -31,6 +33,7 @@ const FIELDS_MM = [3, 6, 12, 25, 50, 100]; // selectable lengths of the picture'
 const DEFAULT_FIELD_MM = 25;
 
 let picture = null, receivedAt = -Infinity, frameRequested = false;
+let lastPath = []; // last path of a motion; its plane and field stay until the next path
 let plane = null, field = null; // plane and field that the user has chosen; null: chosen to fit the path
 
 const canvas = make("canvas", { role: "img", "aria-label": "the tip, enlarged" }), caption = make("p");
@@ -46,14 +49,14 @@ const fold = button("▾", () => {
 const box = make("section", { id: "tip", "aria-label": "close-up of the tip" },
   make("header", {}, make("b", {}, "Tip"), planes, button("−", () => zoom(1), { "aria-label": "show more around the tip", "data-zoom": "" }),
     button("+", () => zoom(-1), { "aria-label": "enlarge the tip", "data-zoom": "" }), fold), canvas, caption);
-$("view").append(box, views, legendBox);
+const modelText = make("span", {}), modelError = make("div", { id: "model-error", hidden: true }, modelText, button("Calibrate", () => openTab("calibrate")));
+$("view").append(box, views, legendBox, modelError);
 
-/** Return the smallest field that contains the path [mm]; without a path, the default field. */
+/** Return the smallest field that contains the last path [mm]; before the first path, the default field. */
 function fittingField() {
-  const path = picture?.path ?? [];
-  if (path.length < 2) return DEFAULT_FIELD_MM;
-  const axes = PLANES[plane ?? bestPlane(path)];
-  const size = Math.max(...[axes.right, axes.up].map(([axis]) => span(path, axis)));
+  if (lastPath.length < 2) return DEFAULT_FIELD_MM;
+  const axes = PLANES[plane ?? bestPlane(lastPath)];
+  const size = Math.max(...[axes.right, axes.up].map(([axis]) => span(lastPath, axis)));
   return FIELDS_MM.find((one) => one > 1.2 * size) ?? DEFAULT_FIELD_MM;
 }
 
@@ -73,7 +76,8 @@ function show() {
     caption.dataset.old = stale;
     caption.textContent = picture === null || silent ? "no data of the tip" : picture.message || describe(picture);
     if (picture === null) return;
-    draw(PLANES[plane ?? bestPlane(picture.path)], field ?? fittingField(), silent || picture.age > 0.5);
+    if (picture.path.length >= 2) lastPath = picture.path;
+    draw(PLANES[plane ?? bestPlane(lastPath)], field ?? fittingField(), silent || picture.age > 0.5);
   });
 }
 
@@ -83,10 +87,17 @@ function describe({ measured, desired, contact, force }) {
   return `measured tip ${Math.hypot(...measured.map((x, i) => x - desired[i])).toFixed(2)} mm from desired`;
 }
 
+/** Show the distance between the model's tip and the measured tip while the scene draws the model's end. */
+function showModelError() {
+  modelError.hidden = picture.model_end.length === 0;
+  if (!modelError.hidden) setText(modelText, `model ${picture.model_error.toFixed(1)} mm from tracker: not calibrated`);
+}
+
 /** Move the camera of this page's scene to a view. */
 const setView = stream(`scene/tip?rate=${RATE_HZ}&client=${client}`, (message) => {
   picture = message;
   receivedAt = performance.now();
+  showModelError();
   show();
 });
 setInterval(() => { if (performance.now() - receivedAt > SILENT_AFTER_MS) show(); }, 1000);
@@ -98,6 +109,7 @@ document.addEventListener("visibilitychange", show);
 const AXES = ["x", "y", "z"];
 const GRID = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]; // possible distances of the grid's lines [mm]
 const LONGEST_ARROW = 0.42; // length of the arrow from FULL_FORCE on, as a fraction of the picture's shorter side
+const RULER_HEIGHT = 24; // height of the strip with the scale and the axes [px]
 const FULL_FORCE = 0.5; // force at which the arrow has its largest length [N]
 
 /** Return the plane in which the path covers the largest area. */
@@ -113,7 +125,7 @@ const span = (points, axis) => Math.max(...points.map((p) => p[axis])) - Math.mi
 /** Return the centre of the picture: the middle of the path if the path fits, otherwise the tip. */
 function pictureCentre(plane, field) {
   const { path } = picture, axes = [plane.right[0], plane.up[0]];
-  const tip = picture.estimated ?? picture.measured ?? picture.tubes[0]?.at(-1) ?? [0, 0, 0];
+  const tip = picture.tubes[0]?.at(-1) ?? picture.estimated ?? picture.measured ?? [0, 0, 0];
   if (path.length < 2 || axes.some((axis) => span(path, axis) > field)) return tip;
   return AXES.map((_, axis) => middle(path, axis));
 }
@@ -140,6 +152,9 @@ function draw(plane, field, stale) {
   // The innermost tube is drawn first, so that a wider tube hides it.
   picture.tubes.forEach((line, k) => stroke(line.map(at), legend.tubes[k].colour, 1e3 * legend.tubes[k].diameter * scale, "butt"));
   stroke(picture.path.map(at), sign("reference"), 2);
+  pen.setLineDash([6, 5]);
+  stroke(picture.model_end.map(at), sign("estimated"), 2);
+  pen.setLineDash([]);
   trace();
   arrow();
   tips();
@@ -197,7 +212,7 @@ function draw(plane, field, stale) {
       pen.fill();
     }
     pen.fillStyle = colours.text;
-    pen.fillText(`${size.toFixed(2)} N`, Math.min(x + u + 8, w - 42), Math.min(y + v + 4, h - 26));
+    pen.fillText(`${size.toFixed(2)} N`, Math.min(x + u + 8, w - 42), Math.min(y + v + 4, h - RULER_HEIGHT - 6));
   }
 
   function tips() {
@@ -233,8 +248,10 @@ function draw(plane, field, stale) {
     pen.arc(x, y, radius, 0, 2 * Math.PI);
   }
 
-  /** Draw the scale (a multiple of the grid's step) and the directions of the axes. */
+  /** Draw the scale (a multiple of the grid's step) and the directions of the axes on a strip that nothing crosses. */
   function ruler() {
+    pen.fillStyle = colours.back;
+    pen.fillRect(0, h - RULER_HEIGHT, w, RULER_HEIGHT);
     const count = [5, 2, 1].find((n) => n * step * scale < 0.4 * w) ?? 1, length = count * step * scale, y = h - 9;
     stroke([[10, y - 4], [10, y], [10 + length, y], [10 + length, y - 4]], colours.text, 1.5, "butt");
     pen.fillStyle = colours.text;
@@ -242,6 +259,6 @@ function draw(plane, field, stale) {
     const [[across, rightSign], [upward, upSign]] = [plane.right, plane.up];
     const axesText = `${AXES[across]} ${rightSign > 0 ? "→" : "←"}  ${AXES[upward]} ${upSign > 0 ? "↑" : "↓"}`;
     pen.fillStyle = colours.dim;
-    pen.fillText(axesText, w - 8 - pen.measureText(axesText).width, 16);
+    pen.fillText(axesText, w - 8 - pen.measureText(axesText).width, y + 2);
   }
 }

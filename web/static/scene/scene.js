@@ -1,6 +1,8 @@
 // The scene in its frame, which is loaded under this page's identity and reconnects; and the switches below the scene.
-import { $, client, latest, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+import { $, client, latest, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
 
+const trueDiameter = make("input", { type: "checkbox", name: "true_diameter" });
+$("switches").append(make("label", { title: "Draw the tubes at their true diameter instead of magnified" }, trueDiameter, "true diameter"));
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
@@ -52,6 +54,7 @@ async function refresh() {
     const settings = await request("GET", "/api/scene", undefined, 1000);
     disconnectedPolls = settings.connected ? 0 : disconnectedPolls + 1;
     if (pending === 0 && before === userChanges) for (const box of boxes) box.checked = settings[box.name];
+    if ($("magnified")) $("magnified").hidden = settings.true_diameter;
     $("target-box").hidden = !settings.target;
     if (!settings.target) return;
     const target = await request("GET", "/api/scene/target", undefined, 1000);

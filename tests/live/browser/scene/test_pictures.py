@@ -1,4 +1,4 @@
-"""Every tab of the page next to the scene, as in `web/README.md`: robot visible, texts present."""
+"""Every tab of the page next to the scene, as on the page *Use the page*: robot visible, texts present."""
 
 from collections.abc import Callable
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import viser
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from tests.harness.calm import CLOCK
@@ -32,6 +33,24 @@ def test_rest_status_has_the_whole_state_of_the_station(station: Served) -> None
     assert (status["message"], status["next"]) == ("nothing moves", "choose a motion and press Start")
     assert "simulated" in status["lab"]
     assert status["loop"]["ticks"] > 0
+
+
+@pytest.mark.parametrize(
+    ("query", "origin", "status", "reason"),
+    [
+        ("?rate=200", None, 422, "rate = '200': Input should be less than or equal to 100"),
+        ("?rate=nan", None, 422, "rate = "),
+        ("", "http://evil.example", 403, "requests from pages of 'http://evil.example' are refused"),
+    ],
+)
+def test_a_telemetry_socket_is_refused_by_a_status_with_the_reason(
+    station: Served, query: str, origin: str | None, status: int, reason: str
+) -> None:
+    address = f"ws://127.0.0.1:{station.port}/api/telemetry{query}"
+    with pytest.raises(InvalidStatus) as refused, connect(address, origin=origin, proxy=None):  # pyright: ignore
+        pass
+    assert refused.value.response.status_code == status
+    assert json.loads(refused.value.response.body or b"{}")["error"].startswith(reason)
 
 
 @pytest.mark.parametrize(
@@ -141,6 +160,20 @@ def test_a_second_start_is_refused_during_a_run(station: Served) -> None:
     second = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
     assert second.status_code == 409
     assert "RUNNING" in second.json()["error"]
+
+
+def test_marks_of_a_run_are_recorded_with_their_time_since_the_motions_start(station: Served) -> None:
+    refused = station.post("/api/mark", {"text": "touched"})
+    assert refused.status_code == 409
+    assert "no run is being recorded" in refused.json()["error"]
+    run = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 4.0}).json()["run_id"]
+    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.25)
+    assert station.post("/api/mark", {"text": "touched the tip"}).status_code == 200
+    station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
+    (curve,) = station.rest.get(f"/api/runs/{run}/curves").json().values()
+    (mark,) = curve["marks"]
+    assert mark["text"] == "touched the tip"
+    assert 1.0 < mark["time"] <= 4.0
 
 
 def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> None:

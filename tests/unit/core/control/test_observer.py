@@ -7,7 +7,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from core.control.observer import NO_FRAMES, Observer, RateFilter, differentiate
+from core.control.observer import NO_FRAMES, USUAL_GAINS, Observer, RateFilter, differentiate, steady_gain
 from core.errors import DescriptionError, NotFinite
 
 PERIOD = 0.002
@@ -53,6 +53,11 @@ def test_the_rate_filters_gain_solves_the_riccati_equation(period, bandwidth):
     expected = covariance[:, 0] / (covariance[0, 0] + 1.0)
 
     np.testing.assert_allclose(RateFilter(period, bandwidth).gain, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("period", "bandwidth"), USUAL_GAINS)
+def test_the_stored_gains_are_those_of_filterpys_recursion(period, bandwidth):
+    np.testing.assert_allclose(USUAL_GAINS[period, bandwidth], steady_gain(period, bandwidth), rtol=1e-12)
 
 
 @pytest.mark.parametrize("bandwidth", [0.5, 1.0, 5.0])

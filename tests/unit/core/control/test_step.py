@@ -238,6 +238,20 @@ def test_workspace_stops_the_tip_at_its_face_and_reports_the_active_row(paper_ro
     assert f"workspace z <= {face:g} m" in unit.limits.active(plant.joints, ticks[-1].at_bound, ticks[-1].at_row)
 
 
+def test_workspace_stops_a_joint_motion_whose_joints_are_far_from_their_ends(paper_robot):
+    plant = Plant(paper_robot)
+    face = float(plant.tip()[2]) + 4e-3
+    unit = controller(paper_robot, others=(Workspace((-1.0, -1.0, 0.0), (1.0, 1.0, face)),))
+    memory, active = start_controller(unit, plant.sample()), False
+    for _ in range(4000):
+        tick = step(unit, memory, plant.sample(), JointMotion(np.array([0.0, 0.0, 0.002])))
+        memory, active = tick.memory, active or bool(tick.at_row.any())
+        plant.obey(tick.command)
+    tip = plant.tip()
+    assert active
+    assert face - 1e-3 < tip[2] < face + 0.1e-3  # without the limit the tip moves by 16 mm
+
+
 @pytest.mark.parametrize("what", ["joints", "sent", "wrenches", "tip"])
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_controller_tick_with_a_measurement_that_is_not_finite_is_refused(paper_robot, what, bad):

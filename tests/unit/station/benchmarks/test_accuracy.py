@@ -1,4 +1,4 @@
-"""One hundredth of the model's verification; core/README.md has the result of the whole verification."""
+"""One hundredth of the model's verification; `station/docs/pages/explanations/solver.md` has the whole."""
 
 import numpy as np
 import pytest

@@ -4,6 +4,7 @@ import pytest
 
 from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
 from station.calibration.procedures import Effort
+from station.config.controllers import Present
 
 
 def test_expected_duration_of_a_procedure_increases_with_weights_and_effort():
@@ -21,6 +22,14 @@ def test_weights_do_not_change_the_duration_of_a_procedure_without_weights(name)
     offer = PROCEDURES[name]
     assert not offer.weighs
     assert offer.expected(1.0, 5) == offer.expected(1.0, 1) == offer.seconds
+
+
+def test_procedures_name_the_device_that_a_bench_lacks():
+    tracker_only = Present(tracker=True, sensors=False)
+    assert {name for name, offer in PROCEDURES.items() if offer.missing(tracker_only)} == {"force"}
+    assert PROCEDURES["force"].missing(tracker_only) == "needs force sensors"
+    assert {offer.missing(Present(tracker=False)) for offer in PROCEDURES.values()} == {"needs a tracker"}
+    assert not any(offer.missing(Present()) for offer in PROCEDURES.values())
 
 
 def test_effort_does_not_change_the_duration_of_a_fixed_procedure():

@@ -76,6 +76,18 @@ def test_held_out_loaded_poses_are_predicted_at_least_four_times_better(found):
     assert found.held_out_loaded.after.mean() < 0.2e-3
 
 
+def test_tubes_are_calibrated_without_force_sensors_from_known_weights(subject, tmp_path):
+    alone = replace(subject, senses=False)
+    bench = StaticLab(alone, load_lab("uncalibrated", subject.file), SEED)
+    result = run_static(procedures.tubes(alone, procedures.Effort()), bench)
+    for true, new in zip(bench.true_robot.tubes, result.calibration.robot.tubes, strict=True):
+        assert new.bending_stiffness == pytest.approx(true.bending_stiffness, rel=0.02)
+    assert result.held_out_loaded.after.mean() < 0.2e-3
+    numbers = write_all(tmp_path, result, alone, PROVENANCE)
+    assert numbers["files"] == ["registration.toml", "robot.toml"]
+    BenchCalibration.load(tmp_path, subject.file)
+
+
 def test_findings_report_a_calibration_without_improvement(found):
     assert not any("no improvement" in sentence for sentence in findings(found))
     poor = found._replace(held_out_believed=1.2 * found.held_out_loaded.after)

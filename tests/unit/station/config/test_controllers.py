@@ -2,8 +2,9 @@
 
 import pytest
 
+from core.errors import DescriptionError
 from core.model.statics import sublink_bend, suitable_integrator
-from station.config.controllers import ControllerFile
+from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile, Present, default_controller
 from station.config.robots import load_robot
 from station.config.strict import ConfigError, Strict, check, read_toml
 
@@ -50,3 +51,27 @@ def test_renamed_controller_key_is_refused_with_its_new_name(write, old, new):
         f"{path}: unknown key 'controller.{old}': use 'controller.{new}', its new name (line 2)"
     )
     assert check(ControlledCase, {"controller": {new: 0.01}}, "new").controller.model_dump()[new] == 0.01
+
+
+@pytest.mark.parametrize(
+    ("changes", "present", "refusal"),
+    [
+        ({"inner": "type_1"}, Present(sensors=False), "controller.inner = 'type_1' needs force sensors.*use 'type_2'"),
+        ({"strategy": "loaded_jacobian"}, Present(sensors=False), "needs force sensors.*use 'unloaded_jacobian'"),
+        ({"inner": "type_2"}, Present(tracker=False), "'type_2' needs a tracker.*use 'type_1_exact'"),
+        ({"feedback": "tracker"}, Present(tracker=False), "feedback = 'tracker' needs a tracker.*use 'observer'"),
+        ({"inner": "type_1_exact"}, Present(tracker=False, sensors=False), "needs force sensors.*use 'unloaded'"),
+    ],
+)
+def test_a_setting_whose_input_is_not_measured_is_refused_with_one_that_fits(changes, present, refusal):
+    file = ControllerFile(**changes)
+    file.check_devices(Present())
+
+    with pytest.raises(DescriptionError, match=refusal):
+        file.controller(load_robot("paper"), present)
+
+
+@pytest.mark.parametrize("present", [Present(a, b) for a in (True, False) for b in (True, False)])
+def test_the_default_controller_of_every_bench_uses_only_what_the_bench_measures(present):
+    default_controller(present).controller(load_robot("paper"), present)
+    assert default_controller(Present()) == DEFAULT_CONTROLLER

@@ -68,7 +68,7 @@ def test_stages_on_separate_ports_may_have_the_same_number(paper):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (BENCH, 'devices = "real"', "devices = 'real': expected 'virtual', or tables of stages, tracker and sensors"),
+        (BENCH, 'devices = "real"', "devices = 'real': expected 'virtual', or a table of stages"),
         (BENCH, "devices = 5", "devices = 5: expected 'virtual'"),
         ("[devices.tracker]", "[devices.camera]", "unknown key 'devices.camera'"),
         ('driver = "zaber"', "", "devices.stages = .*'driver' is missing"),

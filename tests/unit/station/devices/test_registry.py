@@ -17,7 +17,6 @@ from station.devices.config import BenchFile
 from station.devices.interfaces import Condition, Severity, TipReading
 from station.devices.registry import emergency_stop, find, plan
 from station.service.station_file import load_station
-from tests.harness import example_stages, example_tracker
 from tests.harness.own_devices import OWN_DEVICES
 
 
@@ -36,7 +35,7 @@ def install(tmp_path: Path, monkeypatch) -> Callable[..., None]:
 
 
 def test_custom_tracker_is_found_and_tracks(install, paper):
-    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    install("line-tracker = station.docs.examples.line_tracker.line_tracker:open_tracker")
     with socket.create_server(("127.0.0.1", 0)) as server:
         options = {"host": "127.0.0.1", "port": server.getsockname()[1], "latency": 0.024}
         tracker = find("tracker", "line-tracker")(options, paper)()
@@ -51,7 +50,7 @@ def test_custom_tracker_is_found_and_tracks(install, paper):
             assert tracker.condition is Condition.CONNECTED
             visitor.sendall(b"51.0\nnonsense\n3 nan 0 0\n")  # the second part of frame 2, then two malformed lines
             assert _until(tracker, 1.1).position == pytest.approx([0.0105, -0.020, 0.151])
-            assert tracker.details()["malformed_lines"] == 1
+            assert tracker.details()["malformed_lines"] == 2
             assert tracker.trouble(1.2) is None
             assert tracker.trouble(2.0).severity is Severity.HOLD
             visitor.close()
@@ -83,7 +82,7 @@ def _wait(reached: Callable[[], bool]) -> bool:
 
 
 def test_unknown_driver_is_refused_with_the_known_names(install):
-    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    install("line-tracker = station.docs.examples.line_tracker.line_tracker:open_tracker")
     with pytest.raises(ConfigError, match=r"devices.tracker.driver = 'polaris' is not one of aurora, line-tracker;.*"):
         find("tracker", "polaris")
     with pytest.raises(
@@ -96,7 +95,7 @@ def test_unknown_driver_is_refused_with_the_known_names(install):
     ("target", "message"),
     [
         ("no_such_module:open", "cannot be loaded: ModuleNotFoundError"),
-        ("tests.harness.example_tracker:close", "cannot be loaded: AttributeError"),
+        ("station.docs.examples.line_tracker.line_tracker:close", "cannot be loaded: AttributeError"),
         ("math:pi", r"is not a callable open\(options, robot\)"),
     ],
 )
@@ -107,7 +106,7 @@ def test_driver_that_cannot_be_loaded_names_its_distribution(install, target, me
 
 
 def test_device_of_another_kind_is_refused_and_closed(install, paper):
-    install("line-tracker = tests.harness.example_tracker:open_tracker")
+    install("line-tracker = station.docs.examples.line_tracker.line_tracker:open_tracker")
     with socket.create_server(("127.0.0.1", 0)) as server:
         options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
         with pytest.raises(
@@ -154,7 +153,7 @@ class Given:
 
 
 def test_custom_stages_provide_their_emergency_stop(install, paper):
-    install("line-stages = tests.harness.example_stages:open_stages")
+    install("line-stages = station.docs.examples.line_stages.line_stages:open_stages")
     with socket.create_server(("127.0.0.1", 0)) as server:
         stop = emergency_stop({"driver": "line-stages", "host": "127.0.0.1", "port": server.getsockname()[1]}, paper)
         assert stop is not None
@@ -171,7 +170,7 @@ def test_custom_stages_provide_their_emergency_stop(install, paper):
 
 
 def test_stages_without_an_emergency_stop_cause_a_warning_at_the_start(install, write):
-    install("mute-stages = tests.harness.example_stages:LineStages")
+    install("mute-stages = station.docs.examples.line_stages.line_stages:LineStages")
     path = write(OWN_DEVICES.replace('driver = "zaber"\nport = "/dev/ttyUSB0"', 'driver = "mute-stages"'))
     (warning,) = load_station(path).bench().warnings[:1]
     assert warning.startswith("nothing stops the stages of driver 'mute-stages' when the control process dies")
@@ -179,12 +178,6 @@ def test_stages_without_an_emergency_stop_cause_a_warning_at_the_start(install, 
 
 
 README = Path(registry.__file__).with_name("README.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("example", [example_tracker, example_stages])
-def test_readme_contains_the_tested_driver(example):
-    code = Path(example.__file__).read_text(encoding="utf-8").split("\n", 2)[2]
-    assert f"```python\n{code}```" in README
 
 
 def test_bench_of_the_readme_is_valid(paper):

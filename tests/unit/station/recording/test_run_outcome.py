@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from station.devices.interfaces import ABSENT
 from station.recording.run_outcome import (
     case_outcomes,
     counted_from,
@@ -36,6 +37,7 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
         "tip_new": frame[:, None],
         "tip_time": (TIME - late)[:, None],
         "truth_known": np.full((len(TIME), 1), float(known)),
+        "trouble": np.zeros((len(TIME), 3)),
         # The force is 0.5 N from 11 s on; before 11 s the force is larger, but errors do not count.
         "force_filtered": np.outer(np.where(TIME < 11.0, 2.0, 1.0), (0.3, 0.0, 0.4)),
         "target_followed": np.zeros((len(TIME), 1)),
@@ -60,6 +62,17 @@ def test_a_frame_is_compared_with_the_setpoint_at_its_measurement_time():
 
     assert found["max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
     assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+
+
+def test_without_a_tracker_the_true_errors_remain_and_without_force_sensors_no_force():
+    values = columns()
+    values["tip_new"][:] = 0.0
+    values["trouble"][:, 1:] = ABSENT
+
+    found = motion_errors(values.__getitem__, 10.0, 2.0)
+
+    assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+    assert not found.keys() & {"max_abs_error_mm", "force_max_N"}
 
 
 def test_tracking_errors_of_a_run_that_follows_a_target_use_the_target_and_not_the_setpoint():

@@ -1,6 +1,7 @@
 """Access checks, without a station behind them."""
 
 import asyncio
+import json
 import socket
 
 import httpx
@@ -75,14 +76,18 @@ def test_a_cross_site_request_without_origin_is_refused() -> None:
 
 @pytest.mark.parametrize("path", ["/viser/", "/viser", "/api/telemetry"])
 @pytest.mark.parametrize("headers", [{"origin": "http://evil.example"}, {"host": "evil.example"}])
-def test_foreign_websockets_are_refused(path: str, headers: dict[str, str]) -> None:
-    assert _socket(path, {"host": OWN}) == ["websocket.accept", "websocket.close"]  # the page's own WebSocket
-    assert _socket(path, {"host": OWN, **headers}) == ["websocket.close"]
+def test_foreign_websockets_are_refused_with_the_reason(path: str, headers: dict[str, str]) -> None:
+    own = _socket(path, {"host": OWN})
+    assert [message["type"] for message in own] == ["websocket.accept", "websocket.close"]  # the page's own WebSocket
+    start, body = _socket(path, {"host": OWN, **headers})
+    assert (start["type"], start["status"]) == ("websocket.http.response.start", 403)
+    assert body["type"] == "websocket.http.response.body"
+    assert "evil.example" in json.loads(body["body"])["error"]
 
 
-def _socket(path: str, headers: dict[str, str]) -> list[str]:
-    """Return the types of the messages that a WebSocket receives."""
-    sent: list[str] = []
+def _socket(path: str, headers: dict[str, str]) -> list[Message]:
+    """Return the messages that a WebSocket receives."""
+    sent: list[Message] = []
     scope = {
         "type": "websocket", "path": path, "query_string": b"", "client": ("127.0.0.1", 50000),
         "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
@@ -92,7 +97,7 @@ def _socket(path: str, headers: dict[str, str]) -> list[str]:
         return {"type": "websocket.connect"}
 
     async def send(message: Message) -> None:
-        sent.append(message["type"])
+        sent.append(message)
 
     asyncio.run(Access(_echo, "127.0.0.1", 8000, None)(scope, receive, send))
     return sent

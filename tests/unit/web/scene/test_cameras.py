@@ -15,16 +15,17 @@ from station.config.robots import RobotFile, load_robot
 from tests.harness.waiting import until
 from web.scene.cameras import (
     DEFAULT_ASPECT,
-    FIELD_OF_VIEW_RAD,
+    FOLLOWING_VIEW,
     TIP_VIEW_HALF_EDGE_M,
-    Camera,
     Cameras,
     ViewBounds,
     camera,
     extent,
     translations,
 )
-from web.scene.grid import COARSE_SPACING_M, Grid, strokes
+from web.scene.content import NOTHING, SceneContent
+from web.scene.framing import FIELD_OF_VIEW_RAD, Camera
+from web.scene.grid import COARSE_SPACING_M, Grid
 from web.scene.overlays import reachable_tips
 
 ROBOTS = ("paper", "three_tubes", "nylon")
@@ -95,16 +96,6 @@ def test_the_grid_encloses_the_robot_between_coarse_lines(robot: RobotFile) -> N
         np.testing.assert_allclose(ends / COARSE_SPACING_M, np.round(ends / COARSE_SPACING_M), atol=1e-9)
 
 
-@pytest.mark.parametrize("text", ["0", "-150", "23456789", "z mm", "x y"])
-def test_grid_labels_are_in_their_plane_around_their_centre(text: str) -> None:
-    middle, right, up = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 1.0]), np.array([-1.0, 0.0, 0.0])
-    points = (strokes(text, middle, right, up, 0.008) - middle).reshape(-1, 3)
-    np.testing.assert_allclose(points[:, 1], 0.0)
-    assert np.abs(points @ up).max() <= 0.004 + 1e-12
-    assert np.ptp(points @ right) <= 0.008 * 0.8 * len(text)
-    assert abs((points @ right).max() + (points @ right).min()) < 0.004
-
-
 ROOM = ViewBounds(np.array((-0.1, -0.1, -0.15)), np.array((0.1, 0.1, 0.3)))
 TIP, UNIT, ASIDE = np.array((0.02, -0.03, 0.25)), 10.0, np.array((1.0, 2.0, 3.0))
 
@@ -118,7 +109,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 @pytest.fixture(scope="module")
 def cameras(server: viser.ViserServer) -> Cameras:
-    return Cameras(server, ROOM, UNIT, lambda: TIP)
+    return Cameras(server, ROOM, UNIT, lambda: NOTHING._replace(measured=TIP))
 
 
 def page(server: viser.ViserServer, name: str) -> ClientConnection:
@@ -128,45 +119,84 @@ def page(server: viser.ViserServer, name: str) -> ClientConnection:
     return connect(address, subprotocols=[version], proxy=None, max_size=None)  # pyright: ignore[reportArgumentType]
 
 
-def report(socket: ClientConnection, position: np.ndarray, aspect: float) -> None:
+def report(
+    socket: ClientConnection, position: np.ndarray, aspect: float, look_at: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> None:
     """Send a camera message, as a browser does, with a position and an aspect ratio."""
     message: dict[str, Any] = {
         "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": position.tolist(), "fov": 0.6,
         "near": 0.1, "far": 100.0, "image_height": 100, "image_width": round(100 * aspect),
-        "look_at": (0.0, 0.0, 0.0), "up_direction": (-1.0, 0.0, 0.0),
+        "look_at": look_at, "up_direction": (-1.0, 0.0, 0.0),
     }  # fmt: skip
     socket.send(msgspec.msgpack.encode(message))
 
 
 def stands_at(cameras: Cameras, name: str, view: str, aspect: float) -> bool:
     place = UNIT * camera(view, ROOM, TIP, aspect).eye
-    return bool(np.allclose(cameras._clients[name].camera.position, place, atol=1e-6))
+    return bool(np.allclose(cameras._pages[name].client.camera.position, place, atol=1e-6))
 
 
 def test_a_view_moves_the_scene_camera_of_one_page_only(server: viser.ViserServer, cameras: Cameras) -> None:
     with page(server, "page-one") as one, page(server, "page-two") as two:
         report(one, ASIDE, DEFAULT_ASPECT)
         report(two, ASIDE, 2.0)
-        until(lambda: len(cameras._clients) == 2)
+        until(lambda: len(cameras._pages) == 2)
         assert cameras.set_view("page-two", "Tip")
         assert stands_at(cameras, "page-two", "Tip", 2.0)
-        np.testing.assert_allclose(cameras._clients["page-one"].camera.position, ASIDE)
+        np.testing.assert_allclose(cameras._pages["page-one"].client.camera.position, ASIDE)
         assert not cameras.set_view("page-one", "Somewhere")
         assert not cameras.set_view("page-three", "Tip")
-    until(lambda: not cameras._clients)
+    until(lambda: not cameras._pages)
 
 
 def test_the_first_scene_picture_is_fitted_to_the_page_and_a_chosen_camera_is_kept(
     server: viser.ViserServer, cameras: Cameras
 ) -> None:
-    first = UNIT * camera("Overview", ROOM, TIP, DEFAULT_ASPECT).eye
+    first = camera(FOLLOWING_VIEW, ROOM, np.zeros(3), DEFAULT_ASPECT)
     with page(server, "page-new") as new:
-        report(new, ASIDE, 0.5)  # the position of viser's first camera
-        until(lambda: "page-new" in cameras._clients)
-        report(new, first, 0.5)
-        until(lambda: stands_at(cameras, "page-new", "Overview", 0.5))
+        report(new, ASIDE, 0.5)
+        until(lambda: "page-new" in cameras._pages)
+        report(new, UNIT * first.eye, 0.5, tuple((UNIT * first.centre).tolist()))  # viser's first camera
+        until(lambda: stands_at(cameras, "page-new", FOLLOWING_VIEW, 0.5))
     with page(server, "page-back") as back:
         report(back, ASIDE, 0.5)
-        until(lambda: "page-back" in cameras._clients)
+        until(lambda: "page-back" in cameras._pages)
         report(back, 2.0 * ASIDE, 0.5)
-        until(lambda: np.allclose(cameras._clients["page-back"].camera.position, 2.0 * ASIDE))
+        until(lambda: np.allclose(cameras._pages["page-back"].client.camera.position, 2.0 * ASIDE))
+
+
+def content(scale: float) -> SceneContent:
+    """Return a picture of a curved robot of 0.2 m times `scale`."""
+    at = np.linspace(0.0, 0.2 * scale, 30)
+    return NOTHING._replace(robot=np.stack((at**2, np.zeros(30), at), axis=1))
+
+
+def test_the_following_camera_frames_the_drawn_robot_until_the_user_moves_it(server: viser.ViserServer) -> None:
+    drawn = [content(1.0)]
+    cameras = Cameras(server, ROOM, UNIT, lambda: drawn[0])
+
+    def visible() -> bool:
+        """Return whether the last camera shows the whole robot, and the robot fills a third of the picture."""
+        cameras.follow(reframe=True)
+        seen = on_screen(cameras._pages["page"].commanded[-1], drawn[0].robot, 1.5)
+        return bool(np.abs(seen).max() < 1.0 and np.ptp(seen[:, 0]) > 2.0 / 3.0)
+
+    with page(server, "page") as one:
+        report(one, ASIDE, 1.5)
+        until(lambda: "page" in cameras._pages)
+        assert cameras.set_view("page", FOLLOWING_VIEW)
+        assert visible()
+        small = cameras._pages["page"].commanded[-1]
+        drawn[0] = content(0.4)
+        cameras.follow(reframe=True)
+        assert cameras._pages["page"].movement is not None  # the camera starts to move and does not jump
+        until(lambda: visible() and cameras._pages["page"].movement is None)
+        assert len(cameras._pages["page"].commanded) > 2
+        near = cameras._pages["page"].commanded[-1]
+        assert np.linalg.norm(near.eye - near.centre) < 0.6 * np.linalg.norm(small.eye - small.centre)
+        report(one, ASIDE, 1.5)  # the user moves the camera
+        until(lambda: not cameras._pages["page"].following)
+        drawn[0] = content(1.0)
+        number = len(cameras._pages["page"].commanded)
+        cameras.follow(reframe=True)
+        assert len(cameras._pages["page"].commanded) == number

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot, Section, Tube
-from web.scene.robot_mesh import TubeMesh, centre_line
+from web.scene.robot_mesh import Bend, TubeMesh, centre_line
 
 RADIUS = 0.25  # radius of the arc [m]
 POSES = [
@@ -67,7 +67,7 @@ def test_every_ring_of_a_tube_mesh_has_the_tubes_radius(
     line = cKDTree(np.concatenate((np.outer(behind, [0.0, 0.0, 1.0]), fine[:, 10:13])))
     for tube, start in zip(paper_robot.tubes, beta, strict=True):
         mesh = TubeMesh(tube, rings=60, sides=12)
-        rings = mesh.vertices(coarse, float(start))[: 60 * 12]
+        rings = mesh.vertices(mesh.line(coarse, float(start)))[: 60 * 12]
         distance, _ = line.query(rings)
         np.testing.assert_allclose(distance, 0.5 * tube.outer_diameter, atol=1.2e-5)
 
@@ -80,7 +80,8 @@ def test_a_drawn_tube_extends_from_its_proximal_to_its_distal_end(
     solution = statics.solve(np.array(joints), np.array([*force, 0.0, 0.0, 0.0]))
     shape = statics.shape(solution)
     ends = [
-        TubeMesh(tube).vertices(shape, beta) for tube, beta in zip(paper_robot.tubes, (joints[2], 0.0), strict=True)
+        (mesh := TubeMesh(tube)).vertices(mesh.line(shape, beta))
+        for tube, beta in zip(paper_robot.tubes, (joints[2], 0.0), strict=True)
     ]
     inner, outer = ends
     first, last = -14, -1  # indices of the centres of the two ends, each after its rim
@@ -95,7 +96,7 @@ def test_a_drawn_tube_extends_from_its_proximal_to_its_distal_end(
 def test_the_surface_of_a_tube_mesh_is_closed_and_its_normals_point_outward() -> None:
     tube = Tube("arc", (Section(0.15),), 0.04, outer_diameter=2.4e-3, inner_diameter=1e-3)
     mesh = TubeMesh(tube, rings=60, sides=24)
-    points = mesh.vertices(arc_shape(), 0.02)
+    points = mesh.vertices(mesh.line(arc_shape(), 0.02))
     assert len(points) == mesh.count
     corners = points[mesh.faces]
     volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
@@ -112,3 +113,21 @@ def test_a_wider_drawn_tube_hides_the_narrower_one(paper_robot: Robot) -> None:
     inner, outer = paper_robot.tubes
     flat = np.cos(np.pi / 12)  # a ring of 12 points is nearer to the axis between two points
     assert flat * outer.outer_diameter > inner.outer_diameter
+
+
+def test_a_bent_tube_ends_at_the_measured_tip_and_keeps_its_shape_at_the_plate(paper_robot: Robot) -> None:
+    mesh, offset = TubeMesh(paper_robot.tubes[0]), np.array([0.001, 0.003, -0.001])
+    length = paper_robot.tubes[0].length - 0.1
+    straight, bent = (mesh.line(arc_shape(), -0.1, bend) for bend in (None, Bend(offset, length)))
+    moved = bent.position - straight.position
+    np.testing.assert_allclose(moved[-1], offset, atol=1e-12)
+    np.testing.assert_allclose(moved[straight.arc <= 0.0], 0.0)
+    assert (np.diff(np.linalg.norm(moved, axis=1)) >= 0.0).all()
+
+
+def test_a_magnified_tube_is_wider_and_has_the_same_centre_line(paper_robot: Robot) -> None:
+    mesh = TubeMesh(paper_robot.tubes[0])
+    line = mesh.line(arc_shape(), 0.0)
+    true, wide = mesh.vertices(line), mesh.vertices(line, 2.0)
+    np.testing.assert_allclose(wide[-1], true[-1])
+    np.testing.assert_allclose(wide[:12] - line.position[0], 2.0 * (true[:12] - line.position[0]), atol=1e-12)

@@ -7,6 +7,8 @@ import numpy as np
 
 from station.config.robots import RobotFile
 from station.config.strict import Positive, Strict, check
+from station.devices.aurora.session import FrameClock
+from station.devices.config import Mount
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.links.link import LinkError, SerialLink, reopen
 
@@ -17,7 +19,8 @@ class Options(Strict):
     host: str
     port: int
     rate: Positive = 40.0  # measured frames per second
-    latency: float = 0.0  # time from a measurement to the arrival of its line [s]
+    latency: float = 0.0  # shortest time from a measurement to the arrival of its line [s]
+    mount: Mount = Mount()  # pose of the tracker in the world frame
 
 
 class LineTracker:
@@ -26,6 +29,8 @@ class LineTracker:
     def __init__(self, options: Options) -> None:
         self._options = options
         self._link = SerialLink(f"socket://{options.host}:{options.port}", 9600)  # raises LinkError
+        # A line can be late, but never early: the clock finds the time of a frame from its number.
+        self._clock = FrameClock(options.rate)
         self._received, self._problem, self._newest, self._malformed = b"", "", -np.inf, 0
 
     @property
@@ -38,6 +43,7 @@ class LineTracker:
         if self._problem:
             try:
                 reopen(self._link)
+                self._clock.restart()
                 self._problem = ""
             except LinkError as error:
                 self._problem = str(error)
@@ -52,15 +58,19 @@ class LineTracker:
         *lines, self._received = self._received.split(b"\n")
         for line in reversed(lines):
             try:
-                frame, *position = line.split()
-                x, y, z = map(float, position)
-                reading = TipReading(int(frame), now - self._options.latency, 1e-3 * np.array([x, y, z]))
+                number, *position = line.split()
+                frame, (x, y, z) = int(number), map(float, position)
+                if not np.isfinite([x, y, z]).all():
+                    raise ValueError
             except ValueError:
                 self._malformed += 1
                 continue
-            if np.isfinite(reading.position).all():
+            arrival = self._clock.soonest(frame, now)  # None: a frame number that cannot be
+            if arrival is not None:
                 self._newest = now
-                return reading
+                mount = self._options.mount
+                world = mount.rotation @ (1e-3 * np.array([x, y, z])) + mount.position
+                return TipReading(frame, arrival - self._options.latency, world)
         return None
 
     def trouble(self, now: float) -> DeviceFault | None:

@@ -1,0 +1,202 @@
+"""Pages of the site: the repository's Markdown files at their places in the site, and the generated reference.
+
+Every text has one source. `PAGES` names the page of each Markdown file outside `pages/`; links between files become
+links between pages, and a link to a file that is not a page becomes its name. The reference is generated from the
+code: commands from the parser, REST from the OpenAPI description, channels from telemetry, the API from docstrings.
+"""
+
+import argparse
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parents[1]
+sys.path.insert(0, str(ROOT))
+
+#: Page of each Markdown file, by the file's path in the repository.
+PAGES = {
+    "README.md": "overview.md",
+    "CHANGELOG.md": "changes.md",
+    "CONTRIBUTING.md": "how-to/contribute.md",
+    ".github/SECURITY.md": "how-to/security.md",
+    "tests/README.md": "how-to/tests.md",
+    "core/README.md": "explanations/model.md",
+    "station/README.md": "explanations/station.md",
+    "station/FILES.md": "reference/files.md",
+    "station/benchmarks/MEASURED.md": "reference/measured.md",
+    "station/calibration/README.md": "how-to/calibrate.md",
+    "station/design/README.md": "how-to/design.md",
+    "station/devices/README.md": "how-to/devices.md",
+    "station/docs/engineer.md": "tutorials/engineer.md",
+    "station/docs/examples/README.md": "tutorials/examples.md",
+    "station/docs/glossary.md": "reference/glossary.md",
+    "station/docs/reviewer.md": "tutorials/reviewer.md",
+    "station/docs/student.md": "tutorials/student.md",
+    "station/docs/decisions/README.md": "explanations/decisions.md",
+    "station/experiments/README.md": "how-to/experiments.md",
+    "station/gym/README.md": "how-to/gym.md",
+    "station/lab/README.md": "explanations/lab.md",
+    "station/machine/README.md": "how-to/machine.md",
+    "station/recording/README.md": "how-to/recordings.md",
+    "station/report/README.md": "how-to/reports.md",
+    "web/README.md": "explanations/web.md",
+    "web/gateway/README.md": "how-to/gateway.md",
+}
+#: Modules of each page of the Python API: files and folders of the repository.
+API = {
+    "robot": ("The robot, and the limits of its joints.", ["core/robot", "core/errors.py"]),
+    "model": ("The loaded model: shape, Jacobian and compliance.", ["core/model"]),
+    "control": ("The control law; `step` is one tick.", ["core/control"]),
+    "calibration": ("Fits of frames, sensors and tubes.", ["core/calibration"]),
+    "client": ("The client of a running station, for scripts.", ["station/client.py", "station/solve_many.py"]),
+    "devices": ("The contract of drivers.", ["station/devices/interfaces.py"]),
+}
+LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages of the repository's Markdown files, their pictures, and the generated reference."""
+    sources = {file.src_uri: f"station/docs/pages/{file.src_uri}" for file in files if file.src_uri.endswith(".md")}
+    pages = {path: uri for uri, path in sources.items()} | PAGES
+    for record in sorted((DOCS / "decisions").glob("[0-9]*.md")):
+        path = record.relative_to(ROOT).as_posix()
+        pages[path] = f"explanations/decisions/{record.name}"
+    pictures: dict[str, str] = {}
+    for path, uri in pages.items():
+        text = _linked((ROOT / path).read_text(encoding="utf-8"), Path(path).parent.as_posix(), uri, pages, pictures)
+        if (old := files.get_file_from_path(uri)) is not None:
+            files.remove(old)
+        files.append(File.generated(config, uri, content=text))
+    for path, uri in pictures.items():
+        files.append(File.generated(config, uri, abs_src_path=str(ROOT / path)))
+    for uri, text in _reference():
+        files.append(File.generated(config, f"reference/{uri}", content=text))
+    return files
+
+
+def _linked(text: str, folder: str, uri: str, pages: dict[str, str], pictures: dict[str, str]) -> str:
+    """Return a file's text with links to pages instead of files."""
+
+    def link(found: re.Match[str]) -> str:
+        picture, name, target, heading = found[1], found[2], found[3], found[4] or ""
+        if not target or re.match(r"[a-z]+:", target):
+            return found[0]
+        path = os.path.normpath(f"{folder}/{target}")
+        if not (ROOT / path).exists():
+            raise FileNotFoundError(f"{folder} links to {target}, which does not exist")
+        if picture:
+            pictures[path] = f"pictures/{path.replace('/', '-')}"
+            return f"![{name}]({os.path.relpath(pictures[path], Path(uri).parent)})"
+        if path in pages:
+            return f"[{name}]({os.path.relpath(pages[path], Path(uri).parent)}{heading})"
+        return name if "`" in name else f"{name} (`{path}`)"
+
+    parts = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
+    return "".join(part if part.startswith("```") else LINK.sub(link, part) for part in parts)
+
+
+def _reference() -> Iterator[tuple[str, str]]:
+    yield "commands.md", "\n".join(_commands())
+    yield "channels.md", "\n".join(_channels())
+    yield "rest.md", "\n".join(_rest())
+    for name, (text, places) in API.items():
+        modules = [_module(path) for place in places for path in _sources(ROOT / place)]
+        yield f"api/{name}.md", f"# {name.capitalize()}\n\n{text}\n\n" + "\n\n".join(f"::: {each}" for each in modules)
+
+
+def _sources(place: Path) -> list[Path]:
+    return [place] if place.is_file() else sorted(path for path in place.glob("*.py") if path.stem != "__init__")
+
+
+def _module(path: Path) -> str:
+    return path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+
+
+def _cell(text: object) -> str:
+    return " ".join(str(text).split()).replace("|", "\\|").replace("<", "&lt;")
+
+
+def _commands() -> Iterator[str]:
+    """Yield the page of all commands, from the parser of `ctr-station`."""
+    from station.cli.main import parser as command_line
+    from web.cli import main
+
+    top, commands = command_line()
+    yield f"# Commands\n\n{top.description} Every command also has `--data` and `--help`.\n"
+    with redirect_stdout(StringIO()) as serve, suppress(SystemExit):
+        main(["serve", "--help"])  # `web` adds this command to the parser
+    yield f"\n## serve\n\n```text\n{serve.getvalue()}```\n"
+    helps = {action.dest: action.help or "" for action in commands._choices_actions}
+    for name, parser in sorted(commands.choices.items()):
+        yield f"\n## {name}\n\n{helps.get(name, '')}\n"
+        yield from _options(parser)
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
+    nested = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    shown = [each for each in parser._actions if each.dest not in ("help", "data") and each not in nested]
+    if shown:
+        yield "| argument | meaning |\n|---|---|"
+    for action in shown:
+        value = action.metavar or ("" if action.nargs == 0 else "\\|".join(map(str, action.choices or [action.dest])))
+        value = " ".join(value) if isinstance(value, tuple) else value
+        yield f"| `{' '.join([', '.join(action.option_strings), value]).strip()}` | {_cell(action.help or '')} |"
+    for each in nested:
+        for name, parser_of in each.choices.items():
+            yield f"\n### {parser.prog.split()[-1]} {name}\n"
+            yield from _options(parser_of)
+
+
+def _channels() -> Iterator[str]:
+    """Yield the page of the channels of the robot `paper`, from telemetry."""
+    from station.config.robots import load_robot
+    from station.control.telemetry import Channels
+
+    channels = Channels(load_robot("paper").robot())
+    yield (
+        "# Channels\n\nEach tick of the control loop has one row with these channels, for the robot `paper`. A robot "
+        "with other joints or tubes has their names instead. [Recordings](../how-to/recordings.md) describe the file, "
+        "the [glossary](glossary.md) the terms.\n\n| group | columns | unit |\n|---|---|---|"
+    )
+    for group in channels.groups:
+        own = [each for each in channels.all if each.name.rsplit(".", 1)[0] == group]
+        columns = ", ".join(f"`{each.name.removeprefix(group + '.')}`" for each in own if each.name != group)
+        yield f"| `{group}` | {columns} | {', '.join(dict.fromkeys(each.unit for each in own if each.unit))} |"
+
+
+def _rest() -> Iterator[str]:
+    """Yield the page of all REST requests, from the OpenAPI description of an application without processes."""
+    from tests.harness.web_app import web_app
+
+    with tempfile.TemporaryDirectory() as folder, web_app(Path(folder)) as client:
+        described = client.get("/api/openapi.json").json()
+    yield (
+        "# REST\n\nA running station serves this description with a form for every request at `/api/docs`. Changes "
+        "need the operator's lease; STOP never does ([server](../explanations/web.md)).\n"
+    )
+    for path, methods in described["paths"].items():
+        for method, call in methods.items():
+            yield f"\n## {method.upper()} {path}\n\n{_cell(call.get('description') or call.get('summary', ''))}\n"
+            yield from _fields(call, described["components"]["schemas"])
+
+
+def _fields(call: dict[str, Any], schemas: dict[str, Any]) -> Iterator[str]:
+    rows = [(each["name"], each.get("schema", {}), each.get("required")) for each in call.get("parameters", [])]
+    body = call.get("requestBody", {}).get("content", {}).get("application/json", {}).get("schema", {})
+    body = schemas.get(body.get("$ref", "").rsplit("/", 1)[-1], body)
+    needed = body.get("required", [])
+    rows += [(name, field, name in needed) for name, field in body.get("properties", {}).items()]
+    if rows:
+        yield "| field | meaning |\n|---|---|"
+    for name, field, required in rows:
+        yield f"| `{name}`{' (required)' if required else ''} | {_cell(field.get('description', ''))} |"

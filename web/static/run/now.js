@@ -1,0 +1,49 @@
+// The run in progress, at the top of the tab Run: what it does, its load, the time left, and live error and force.
+import { $, button, clock, make, mayCommand, note, onStatus, sendCommand, setText } from "../page/station.js";
+import { isOpen } from "../page/tabs.js";
+import { Chart } from "../page/chart.js";
+import { error, samples } from "../page/telemetry.js";
+
+const REFRESH_INTERVAL_MS = 200, SHOWN_S = 30; // interval of the drawings [ms], and time shown in them [s]
+
+const size = (vector) => (vector ? Math.hypot(...vector) : NaN);
+const token = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const live = (title, unit, traces, span) => new Chart(title, unit, traces, span, () => {}, point);
+const charts = [
+  live("Error", "mm", [
+    { name: "tracker", value: (sample) => size(error(sample, "tip_measured")), colour: token("--dim") },
+    { name: "true", value: (sample) => size(error(sample, "tip_true")), colour: token("--error"), dash: [] }], 0.5),
+  live("Force", "N", [{ name: "size", value: (sample) => size(sample.force_filtered), colour: token("--force") }], 0.1),
+];
+const title = make("h3"), phase = make("p", { className: "small dim" }), load = make("p", { className: "small" });
+const progress = make("progress", { max: 1, value: 0, "aria-label": "progress" });
+const marked = make("input", { value: "touched", maxLength: 200, "aria-label": "text of the mark" });
+const mark = button("Mark this moment", async () => { if (await sendCommand("POST", "/api/mark", { text: marked.value.trim() || "marked" })) note("marked in the recording", true); });
+/** The run in progress, hidden while there is none. */
+export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, ...charts.map((chart) => chart.element), make("div", { className: "acts" }, marked, mark));
+
+function point(time) {
+  for (const chart of charts) chart.point(time);
+}
+
+let shown = ""; // id of the shown run
+onStatus((status, stale) => {
+  mark.disabled = stale || status === null || !mayCommand(status);
+  if (status === null) return; // no answer: what the station did last stays visible, in grey
+  const run = status.state === "RUNNING" ? status.run : null;
+  box.hidden = run === null;
+  if (run === null) return;
+  setText(title, run.title);
+  setText(phase, run.phase === "moving" ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}` : status.message);
+  setText(load, run.load === "" ? "no load from the lab" : `load: ${run.load}`);
+  load.hidden = !status.simulated;
+  progress.value = run.progress;
+  if (run.id !== shown) $("start").scrollTop = 0; // a new run is visible at once
+  shown = run.id;
+});
+
+setInterval(() => {
+  if (box.hidden || !isOpen("start")) return;
+  const newest = samples.at(-1)?.time ?? 0;
+  for (const chart of charts) chart.show(samples, [newest - SHOWN_S, newest], newest);
+}, REFRESH_INTERVAL_MS);

@@ -1,0 +1,48 @@
+// Queue of runs, above the motions of the tab Run: what runs next, why it waits, and its order.
+import { button, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+import { isOpen, onTab } from "../page/tabs.js";
+
+const POLL_INTERVAL_MS = 1000;
+const SIGNS = { waiting: "○", running: "▶", done: "●", failed: "▲" };
+const list = make("ol"), state = make("p", { className: "small", role: "status" });
+const act = (method, path, text, label, body) => button(text, async () => { if (await sendCommand(method, path, body)) refresh(); }, { "aria-label": label });
+const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), resume = act("POST", "/api/queue/resume", "Continue", "continue the queue", {}), clear = act("DELETE", "/api/queue", "Clear", "clear the queue");
+/** The queue, hidden while it is empty. */
+export const box = make("fieldset", { id: "queue", hidden: true }, make("legend", {}, "Queue"), state, list, make("div", { className: "acts" }, pause, resume, clear));
+
+/** Add the runs of a request at the end of the queue. */
+export async function addToQueue(body) {
+  const queue = await sendCommand("POST", "/api/queue", body);
+  if (queue === null) return;
+  note("added to the queue", true);
+  show(queue);
+}
+
+function row(entry) {
+  const waits = entry.state === "waiting", move = `/api/queue/${entry.id}/move`;
+  const todo = waits ? entry.by_hand : "";
+  return make("li", { className: entry.state }, make("span", {}, `${SIGNS[entry.state]} ${entry.title}`,
+    entry.reason === "" ? null : make("span", { className: "small mind" }, ` ${entry.reason}`), todo === "" ? null : make("span", { className: "small dim" }, ` ${todo}`)),
+  waits ? act("POST", move, "↑", `${entry.title}: earlier`, { by: -1 }) : null, waits ? act("POST", move, "↓", `${entry.title}: later`, { by: 1 }) : null,
+  entry.state === "running" ? null : act("DELETE", `/api/queue/${entry.id}`, "×", `${entry.title}: remove`));
+}
+
+let shown = "";
+function show(queue) {
+  if (shown === (shown = JSON.stringify(queue))) return;
+  const left = queue.entries.filter((entry) => entry.state === "waiting").length;
+  box.hidden = queue.entries.length === 0;
+  state.textContent = queue.paused === "" ? `${left} waiting` : `paused: ${queue.paused}`;
+  pause.hidden = queue.paused !== "";
+  resume.hidden = queue.paused === "" || left === 0;
+  list.replaceChildren(...queue.entries.map(row));
+}
+
+async function refresh() {
+  if (!isOpen("start")) return;
+  try { show(await request("GET", "/api/queue", undefined, 3000)); } catch { return; } // the header reports that the station does not answer
+}
+setInterval(refresh, POLL_INTERVAL_MS);
+onTab("start", refresh);
+onStatus((status, stale) => { for (const control of box.querySelectorAll("button")) control.disabled = stale || !mayCommand(status); });
+refresh();
