@@ -64,8 +64,8 @@ MAX_MESSAGE_BYTES = 64 * 1024
 STOPS_AT_ONCE = 32
 #: Number of connections that the system queues before the server accepts them.
 LISTEN_BACKLOG = 64
-#: Time for which an idle connection stays open [s]. Many scripts poll every 5 or 10 s; with such a time the server would
-#: close a connection at the moment when the next request arrives.
+#: Time for which an idle connection stays open [s]. Many scripts poll every 5 or 10 s; with such a time the server
+#: would close a connection at the moment when the next request arrives.
 KEEP_ALIVE_S = 17
 
 
