@@ -15,6 +15,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     export.add_argument("run", metavar="RUN", help="folder of a run, its name in the data folder, or 'latest'")
     export.add_argument("--format", choices=("csv", "parquet", "mat"), required=True)
     export.add_argument("--out", type=Path, metavar="FILE|DIR", help="destination of the files (the run's folder)")
+    export.add_argument("--case", default="", metavar="NAME", help="only this case of the run")
     export.set_defaults(command=_export)
 
 
@@ -32,6 +33,6 @@ def _export(parsed: argparse.Namespace) -> int:
                 tasks[case] = bar.add_task(f"export {case}", total=1.0)
             bar.update(tasks[case], completed=part)
 
-        files = export_run(resolve_run(parsed.run, runs), parsed.format, parsed.out, progress)
+        files = export_run(resolve_run(parsed.run, runs), parsed.format, parsed.out, progress, parsed.case)
     sys.stdout.writelines(f"{file}\n" for file in files)
     return 0

@@ -1,24 +1,29 @@
 """Export of recordings to CSV, Parquet and MATLAB files, with the unit in the name of every column.
 
+The first column, `motion_time [s]`, is the time since the start of the motion; the others are the recorded channels.
+Without a motion it equals `time [s]`.
 CSV and Parquet files are written block by block, so a recording may be longer than the memory. A MATLAB file has one
 array for each channel and is created in memory.
 """
 
+import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
 from station.recording.data_section import unique_name
 from station.recording.read import CaseReader, open_case
-from station.recording.run_folder import RECORDING_SUFFIX
+from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE
 from station.recording.run_outcome import RecordingError
 
 FORMATS = ("csv", "parquet", "mat")
+MOTION_TIME = Channel("motion_time", "s")
 #: Number of rows in a row group of a Parquet file: large enough to compress well, small enough for the memory.
 ROW_GROUP_ROWS = 50_000
 #: Longest variable name that MATLAB allows [characters].
@@ -28,39 +33,59 @@ MAX_MATLAB_BYTES = 2**31
 
 
 def export_run(
-    folder: Path, kind: str, out: Path | None, progress: Callable[[str, float], None] = lambda _case, _part: None
+    folder: Path,
+    kind: str,
+    out: Path | None,
+    progress: Callable[[str, float], None] = lambda _case, _part: None,
+    case: str = "",
 ) -> list[Path]:
-    """Write every case of a run in another format.
+    """Write the cases of a run in another format.
 
     Args:
         folder: folder of the run.
         kind: one of FORMATS.
-        out: a file for a run with one case, a folder for a run with several; None: the folder of the recordings.
+        out: a file for one case, a folder for several; None: the folder of the recordings.
         progress: receives the name of a case and the fraction of it that is done.
+        case: name of the only case to write; empty: all cases.
 
     Returns:
         Paths of the written files, which are complete.
 
     Raises:
-        RecordingError: the run has no recording, one cannot be read, or the disk is full.
+        RecordingError: the run has no such recording, one cannot be read, or the disk is full.
     """
     recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
     if not recordings:
         raise RecordingError(f"{folder}: the folder has no recording")
+    if case != "":
+        names = ", ".join(path.stem for path in recordings)
+        recordings = [path for path in recordings if path.stem == case]
+        if not recordings:
+            raise RecordingError(f"{folder}: the run has no case '{case}'; its cases are {names}")
     if out is not None and out.suffix == f".{kind}" and not out.is_dir():
         if len(recordings) > 1:
             names = ", ".join(path.stem for path in recordings)
-            raise RecordingError(f"{out}: one file for the cases {names}; give a folder")
+            raise RecordingError(f"{out}: one file for the cases {names}; give a folder or --case")
         targets = [out]
     else:
         targets = [(out or folder) / f"{path.stem}.{kind}" for path in recordings]
     for recording, target in zip(recordings, targets, strict=True):
-        export_case(recording, kind, target, lambda part, name=recording.stem: progress(name, part))
+        start = _motion_start(folder / SUMMARY_FILE, recording.stem)
+        export_case(recording, kind, target, start, lambda part, name=recording.stem: progress(name, part))
     return targets
 
 
-def export_case(recording: Path, kind: str, target: Path, progress: Callable[[float], None] = lambda _: None) -> None:
+def export_case(
+    recording: Path, kind: str, target: Path, start: float, progress: Callable[[float], None] = lambda _: None
+) -> None:
     """Write a recording in another format to the file `target`, which gets its name only when it is complete.
+
+    Args:
+        recording: file of the recording.
+        kind: one of FORMATS.
+        target: file to write.
+        start: time of the motion's start in the recording [s].
+        progress: receives the fraction that is done.
 
     Raises:
         RecordingError: the recording cannot be read, or the disk is full.
@@ -71,7 +96,7 @@ def export_case(recording: Path, kind: str, target: Path, progress: Callable[[fl
         target.parent.mkdir(parents=True, exist_ok=True)
         with open_case(recording) as case:
             try:
-                write(case, _watched(case, progress), unfinished)
+                write(case, (MOTION_TIME, *case.channels), _blocks(case, start, progress), unfinished)
                 unfinished.replace(target)
             finally:
                 unfinished.unlink(missing_ok=True)
@@ -87,27 +112,40 @@ def matlab_names(channels: Sequence[Channel]) -> list[str]:
     return [unique_name(name, taken, MAX_MATLAB_NAME) for name in plain]
 
 
-def _watched(case: CaseReader, progress: Callable[[float], None]) -> Iterable[Array]:
-    done = 0
+def _motion_start(summary: Path, case: str) -> float:
+    """Return the time of the motion's start in a recording [s]; 0 in virtual time: it begins with the motion."""
+    if not summary.is_file():
+        return 0.0
+    try:
+        return float(json.loads(summary.read_bytes()).get("cases", {}).get(case, {}).get("motion_start", 0.0))
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        raise RecordingError(f"{summary}: cannot read the start of the motion of '{case}': {error!r}") from None
+
+
+def _blocks(case: CaseReader, start: float, progress: Callable[[float], None]) -> Iterable[Array]:
+    """Yield the rows with the time since the motion's start as their first column."""
+    done, time = 0, [channel.name for channel in case.channels].index("time")
     for rows in case.blocks():
-        yield rows
+        yield np.column_stack([rows[:, time] - start, rows])
         done += len(rows)
         progress(done / case.ticks)
 
 
-def _csv(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
+def _csv(_case: CaseReader, channels: Sequence[Channel], blocks: Iterable[Array], target: Path) -> None:
     """Write a CSV file whose numbers have enough digits to be read back to the same bits."""
-    with target.open("w", encoding="utf-8") as file:
-        file.write(",".join(_quoted(channel.column) for channel in case.channels) + "\n")
+    with target.open("wb") as file:
+        file.write((",".join(_quoted(channel.column) for channel in channels) + "\n").encode())
         for rows in blocks:
-            file.writelines(",".join(map(repr, row)) + "\n" for row in rows.tolist())
+            # JSON has the shortest exact digits too, and this encoder is four times as fast as `repr` of each number.
+            text = msgspec.json.encode(rows.tolist()).replace(b"null", b"nan")
+            file.write(text[2:-2].replace(b"],[", b"\n") + b"\n")
 
 
 def _quoted(name: str) -> str:
     return f'"{name}"' if "," in name else name
 
 
-def _parquet(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
+def _parquet(case: CaseReader, channels: Sequence[Channel], blocks: Iterable[Array], target: Path) -> None:
     try:
         import pyarrow
         from pyarrow import parquet
@@ -116,7 +154,7 @@ def _parquet(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
 
     fields = [
         pyarrow.field(channel.column, pyarrow.float64(), metadata={"name": channel.name, "unit": channel.unit})
-        for channel in case.channels
+        for channel in channels
     ]
     about = {"label": case.label, "cause": case.cause}
     schema = pyarrow.schema(fields, metadata=about)
@@ -135,21 +173,21 @@ def _parquet(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
         writer.write_table(table(gathered))
 
 
-def _mat(case: CaseReader, blocks: Iterable[Array], target: Path) -> None:
+def _mat(case: CaseReader, channels: Sequence[Channel], blocks: Iterable[Array], target: Path) -> None:
     from scipy.io import savemat
 
     if 8 * case.ticks >= MAX_MATLAB_BYTES:
         raise RecordingError(f"{target}: {case.ticks} rows are more than a .mat file can store; export as parquet")
-    columns = np.empty((len(case.channels), case.ticks))
+    columns = np.empty((len(channels), case.ticks))
     filled = 0
     for rows in blocks:
         columns[:, filled : filled + len(rows)] = rows.T
         filled += len(rows)
-    names = matlab_names(case.channels)
+    names = matlab_names(channels)
     content: Mapping[str, Any] = {
         **{name: column[:, None] for name, column in zip(names, columns, strict=True)},
-        "units": {name: channel.unit for name, channel in zip(names, case.channels, strict=True)},
-        "channels": {name: channel.name for name, channel in zip(names, case.channels, strict=True)},
+        "units": {name: channel.unit for name, channel in zip(names, channels, strict=True)},
+        "channels": {name: channel.name for name, channel in zip(names, channels, strict=True)},
         "label": str(case.label),
     }
     savemat(target, dict(content), appendmat=False, do_compression=True, long_field_names=True)

@@ -31,7 +31,7 @@ HEADER: FloatRect = {"x": 0, "y": 0, "width": 1280, "height": 56}
 COUNTING = """() => { window.turnedOld = 0;
   new MutationObserver(() => { window.turnedOld += 1; }).observe(document.body, { attributeFilter: ["class"] }); }"""
 FRESH = """() => !document.body.classList.contains("stale")
-  && document.querySelector("#tip p").textContent !== "no data of the tip"
+  && document.querySelector("#tip p").textContent !== "no data about the tip"
   && /[0-9]/.test(document.querySelector("#strip [data-quantity=force] + output").textContent)"""
 PLACES = "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 8, 0\n8, 6, 8, 4\n12, 6, 0, 6\n16, 0, 0, 0\n"
 DEMO = {"experiment": "demo"}

@@ -113,7 +113,9 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
 
         async def write() -> None:
             async with rendering:
-                await _command("export", recording.parent, "--format", format, "--out", str(out))
+                await _command(
+                    "export", recording.parent, "--case", recording.stem, "--format", format, "--out", str(out)
+                )
 
         try:
             await cancel_on_disconnect(request, write())

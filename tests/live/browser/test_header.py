@@ -38,7 +38,7 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
             station.process.send_signal(signal.SIGSTOP)
             page.wait_for_function("() => document.body.classList.contains('stale')")
             start.click()
-            page.locator("#notes", has_text="nothing was started").wait_for()
+            page.locator("#notes", has_text="Not started").wait_for()
             page.locator("#silence", has_text="no data for").wait_for()
             page.locator("#age", has_text="no data for").wait_for()
             assert page.locator("button", has_text="Start motion").bounding_box() == place
@@ -48,9 +48,14 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
         page.locator("#silence").wait_for(state="hidden")
         station.post("/api/start", HOLD)
         page.locator("#now").wait_for()
+        station.process.send_signal(signal.SIGSTOP)
+        try:
+            page.locator("#state", has_text="NO ANSWER").wait_for()
+            assert page.locator("#now").is_visible()
+        finally:
+            station.process.send_signal(signal.SIGCONT)
         station.end()
         page.locator("#state", has_text="NO ANSWER").wait_for()
-        assert page.locator("#now").is_visible()
         page.locator("#silence", has_text="The station does not answer").wait_for()
         page.locator("#next", has_text="start the station").wait_for()
         assert page.locator("#state").evaluate(CONTRAST) >= 4.5

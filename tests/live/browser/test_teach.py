@@ -62,7 +62,7 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0]]
     before = station.status()
     go(station, {"inner_translation": -0.095})
-    teach.get_by_text("away from the start; a motion from here").wait_for()
+    teach.get_by_text("A motion from here shifts the whole path").wait_for()
 
     def added() -> bool:
         # While the status is stale on a busy computer the button is disabled, so click again.
@@ -77,7 +77,7 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     assert place == pytest.approx(moved, abs=1.5)  # tolerance: noise of the measured tip
     assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # time for the distance at 5 mm/s
     says(teach, "✓ according to the model, the tip reaches all 2")
-    too_old = teach.locator(".note", has_text="nothing was started")
+    too_old = teach.locator(".note", has_text="Not started")
 
     def started() -> bool:
         # On a busy computer the page may start nothing, because its data are too old; then the user presses again.
@@ -90,7 +90,7 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
 
     until(started)
     station.wait_for(lambda status: abs(status["joints"]["inner_translation"] + 0.1) < 1e-4)
-    teach.get_by_text("away from the start; a motion from here").wait_for(state="hidden")
+    teach.get_by_text("A motion from here shifts the whole path").wait_for(state="hidden")
 
 
 def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:

@@ -100,7 +100,7 @@ async function overview() {
 }
 
 function procedure(offer) {
-  const effort = make("select", { "aria-label": "effort" }, ...[["0.5", "quick: half the poses"], ["1", "usual"], ["2", "thorough: twice the poses"]].map(([value, text]) => make("option", { value, selected: value === "1" }, text)));
+  const effort = make("select", { "aria-label": "effort" }, ...[["0.5", "quick: half the poses"], ["1", "usual"], ["2", "thorough: twice as many poses"]].map(([value, text]) => make("option", { value, selected: value === "1" }, text)));
   const weights = make("input", { type: "text", value: info.weights.join(", "), required: true, "aria-label": "known weights [N]" });
   const durationText = make("span", { className: "wide" });
   const parsedWeights = () => weights.value.split(",").map(Number);
@@ -155,7 +155,7 @@ async function details(name) {
     ...stored.findings.map((sentence) => make("p", {}, sentence)),
     make("div", { className: "acts" }, make("a", { href: file("report.html"), target: "_blank", rel: "noopener" }, "Report with figures"),
       ...stored.files.filter((entry) => entry !== "report.html").map((entry) => make("a", { href: file(entry), download: "" }, entry))),
-    make("h3", {}, "How to use it"), make("p", {}, stored.use.text),
+    make("h3", {}, "How to use the result"), make("p", {}, stored.use.text),
     ...[stored.use.line, stored.use.options].filter((text) => text !== "").map(copy),
     make("h3", {}, "Estimated values"),
     make("table", { id: "found" }, make("tr", {}, ...["", "before", "found", "± (95 %)"].map((text) => make("th", {}, text))),

@@ -15,7 +15,7 @@ const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"
 const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
 const bench = make("p", { className: "small" });
 $("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), list, bench,
-  make("h3", {}, "Does every axis turn in the right direction?"),
+  make("h3", {}, "Does every axis move in the right direction?"),
   make("p", { className: "small dim" }, "Hold a button for a second or two: the joint moves slowly in its positive direction. The tracker's motion is compared with the model's."),
   joints, make("h3", {}, "Raw values"), raw);
 

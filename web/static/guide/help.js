@@ -12,7 +12,7 @@ const STATES = [
 ];
 const KEYS = [
   ["Shift+Space", "STOP, wherever the focus is"],
-  ["Escape", "STOP while something moves; otherwise closes a question or this help"],
+  ["Escape", "closes an open question; otherwise STOP while something moves; otherwise closes this help"],
   ["Ctrl+K", "all actions, by name"],
   ["← →", "next tab; width of the controls while their border has the focus"],
   ["Space, held", "jogs while the focus is on a button of the tab Jog"],
@@ -21,7 +21,7 @@ const KEYS = [
 const TIPS = [
   ["desired", "where the tip should be now"],
   ["measured", "where the tracker measures the tip, with its noise and delay"],
-  ["estimated", "where the loaded model calculates the tip from joints and force"],
+  ["estimated", "where the model puts the tip, from joints and force only, without the tracker"],
   ["true", "where the simulated tip is; only a virtual lab knows it, and the controller never does"],
 ];
 
@@ -31,7 +31,7 @@ const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
   make("h2", { id: "help-title" }, "Help"),
   make("h3", {}, "States"), list(STATES),
   make("h3", {}, "Keys"), list(KEYS),
-  make("h3", { id: "help-tips" }, "Four tips"), list(TIPS),
+  make("h3", { id: "help-tips" }, "Four marks of the tip"), list(TIPS),
   make("h3", {}, "Notifications"), switches(),
   make("p", {}, make("a", { href: "/api/docs", target: "_blank" }, "REST interface"), " for scripts"),
   make("menu", {}, button("Close", () => dialog.close(), { className: "main" })));

@@ -13,9 +13,9 @@ const POLL_INTERVAL_MS = 25, DEAD_ZONE = 0.12;
  */
 const LAYOUTS = [
   { fits: (pad) => pad.mapping === "standard", buttons: [4, 5], button: "a shoulder button (L1, R1)",
-    axes: [["left stick down, up", 1, 1], ["right stick up, down", 3, -1], ["left stick right, left", 0, 1]] },
-  { fits: (pad) => /3dconnexion|space ?(mouse|navigator|pilot|explorer)|256f/i.test(pad.id), buttons: [0, 1], button: "any button of the gamepad",
-    axes: [["cap pressed, lifted", 2, 1], ["cap pushed away, pulled", 1, -1], ["cap to the right, left", 0, 1]] },
+    axes: [["left stick: down +, up −", 1, 1], ["right stick: up +, down −", 3, -1], ["left stick: right +, left −", 0, 1]] },
+  { fits: (pad) => /3dconnexion|space ?(mouse|navigator|pilot|explorer)|256f/i.test(pad.id), buttons: [0, 1], button: "any button of the 3D mouse",
+    axes: [["cap: press +, lift −", 2, 1], ["cap: push away +, pull −", 1, -1], ["cap: right +, left −", 0, 1]] },
   { fits: () => true, buttons: [0], button: "its first button", axes: [["first axis", 0, 1], ["second axis", 1, 1], ["third axis", 2, 1]] },
 ];
 /** Direction (x, y, z), world frame, in which each key moves the tip; the keys match the view from the side. */
@@ -103,7 +103,7 @@ function advice(pad) {
   if (navigator.getGamepads === undefined) return "browsers allow gamepads only on the station's computer, or over https";
   if (pad === null) return "no gamepad detected: connect one and press one of its buttons";
   const name = pad.id.replace(/\s*\(.*$/, "") || "pad", { button } = layout(pad);
-  if (isHeld(axes)) return `${name}: moves the tip until its button is released`;
+  if (isHeld(axes)) return `${name} moves the tip. Release its button to stop.`;
   if (!document.hasFocus()) return `${name}: click into this page first; gamepads have no effect while another window has the focus`;
   if (pressed(pad)) return `${name}: release its button, then press it again`;
   return `${name}: hold ${button} and move; releasing it stops within 0.3 s`;

@@ -19,7 +19,7 @@ export async function home() {
   const workingPose = rig.working_pose === null ? null
     : make("p", {}, `Then the robot goes to its working pose: ${poseText(rig.joints, rig.working_pose)}.`);
   const clear = make("label", {}, make("input", { type: "checkbox" }), "The path is clear: I have checked that the tubes can be retracted and turned without touching anything.");
-  if (await confirm("Home every stage?", "Home", make("p", {}, "The translation is retracted first. Then the axes search for their home sensors, one after the other. STOP works at any time."), workingPose, clear))
+  if (await confirm("Home every stage?", "Home", make("p", {}, "First the tubes are retracted. Then the axes search for their home sensors, one after the other. STOP works at any time."), workingPose, clear))
     await sendCommand("POST", "/api/home", { way_is_clear: true });
 }
 

@@ -231,11 +231,11 @@ async function fetchStatus() {
 
 /**
  * Return whether the status is current. A stale status is requested once more; if it stays stale, a note reports that
- * nothing was started.
+ * nothing is started.
  */
 export async function ensureFresh() {
   if (wasStale) await pollStatus();
-  if (wasStale) note("nothing was started: the page's data of the robot is too old. Wait until new data arrives, then press again");
+  if (wasStale) note("Not started: the page has no current data from the robot. Wait for new data, then press again.");
   return !wasStale;
 }
 

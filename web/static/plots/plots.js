@@ -20,7 +20,7 @@ const ALL = {
   deflection: ["Deflection", "mm", components((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
   direction: ["Error of the direction", "°", [
     { name: "measured", value: (s) => directionError(s, "direction_measured") ?? NaN }, { name: "true", value: (s) => directionError(s, "direction_true") ?? NaN }], 1],
-  timing: ["Loop timing, 99 % over a second", "µs", [
+  timing: ["Loop timing, 99th percentile of each second", "µs", [
     { name: "late", value: (s) => s.late_us ?? NaN }, { name: "work", value: (s) => s.tick_us ?? NaN }], 100],
   tip: ["Measured tip", "mm", xyz((s) => scaled(s, "tip_measured", 1e3)), 1],
   ...Object.fromEntries(rig.joints.map((joint, i) => {

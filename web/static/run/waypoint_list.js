@@ -90,7 +90,7 @@ export function firstError() {
     if (![time, ...position].every(Number.isFinite)) return { row: i, text: "a number is missing" };
     const before = list.rows[i - 1]?.[0] ?? 0;
     if (i === 0 && time <= 0 && position.some((part) => part !== 0)) return { row: i, text: "the motion from the start to this waypoint needs a time above 0 s" };
-    if (i === 0 ? time < 0 : time <= before) return { row: i, text: `time ${time} s is not after ${before} s` };
+    if (i === 0 ? time < 0 : time <= before) return { row: i, text: `time ${time} s must be later than the ${i === 0 ? "start, 0" : `previous row's ${before}`} s` };
   }
   return null;
 }

@@ -130,8 +130,9 @@ export function waypoints(rest, goThere) {
     startBox.hidden = atStart;
     goButton.disabled = !isReady || !mayCommand(status);
     if (atStart) return;
-    const offset = startUnknown || tip === null ? "The robot is" : `The tip is ${(Math.hypot(...tip.map((part, i) => part - origin().tip[i])) / MM).toFixed(1)} mm`;
-    setText(offsetWarning, `▲ ${offset} away from the start; a motion from here shifts all waypoints.`);
+    const far = startUnknown || tip === null ? "" : `${(Math.hypot(...tip.map((part, i) => part - origin().tip[i])) / MM).toFixed(1)} mm`;
+    setText(offsetWarning, far === "" ? "▲ The robot is not at the start of this list. A motion from here shifts the whole path."
+      : `▲ The tip is ${far} from the start of this list. A motion from here shifts the whole path by ${far}.`);
   }
 
   table = { fill, compare: compareWithStart };

@@ -149,7 +149,7 @@ function differences(objects) {
 
 /** Return a table of the settings in which the first cases of two runs differ. */
 function differentSettings(runs) {
-  const rows = make("tbody"), element = make("div", {}, make("h3", {}, "Settings that differ (SI)"), make("table", { className: "settings" }, rows));
+  const rows = make("tbody"), element = make("div", {}, make("h3", {}, "Settings that differ (SI units)"), make("table", { className: "settings" }, rows));
   const say = (message) => rows.replaceChildren(make("tr", {}, make("td", { className: "dim" }, message)));
   say("loading …");
   Promise.all(runs.map((run) => request("GET", `${address(run.id, "settings")}?case=${encodeURIComponent(run.cases[0] ?? "")}`))).then((recorded) => {
@@ -166,7 +166,7 @@ function overlaidCurves(runs) {
     const drawn = make("div");
     const draw = () => {
       const [nameA, nameB] = matched[Math.max(0, choice.selectedIndex)] ?? [];
-      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, "There are no curves: one of the runs has no motion.")
+      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, `No curves to compare: run ${runs[Object.keys(a).length === 0 ? 0 : 1].label ?? ""} has no recorded motion.`)
         : pictures([[heading(runs[0], 0), a[nameA]], [heading(runs[1], 1), b[nameB]]]));
     };
     choice.addEventListener("change", draw);

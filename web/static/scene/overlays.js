@@ -74,7 +74,7 @@ function show() {
     const silent = performance.now() - receivedAt > SILENT_AFTER_MS;
     const stale = silent || picture === null || picture.message !== "";
     caption.dataset.old = stale;
-    caption.textContent = picture === null || silent ? "no data of the tip" : picture.message || describe(picture);
+    caption.textContent = picture === null || silent ? "no data about the tip" : picture.message || describe(picture);
     if (picture === null) return;
     if (picture.path.length >= 2) lastPath = picture.path;
     draw(PLANES[plane ?? bestPlane(lastPath)], field ?? fittingField(), silent || picture.age > 0.5);

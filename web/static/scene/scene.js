@@ -45,7 +45,7 @@ let disconnectedPolls = 0; // consecutive polls without a connected scene
 /** Show a message if only the scene is disconnected. While the page has no data, its banner is below the header. */
 function showConnection(stale) {
   $("scene-cut").hidden = stale || disconnectedPolls < 3;
-  $("scene-cut").textContent = "The scene is disconnected: the picture is not live. Numbers and STOP are live.";
+  $("scene-cut").textContent = "The 3D picture is frozen. Numbers and STOP still work.";
 }
 
 async function refresh() {

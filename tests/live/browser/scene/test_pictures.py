@@ -17,7 +17,7 @@ DEMO = {"experiment": "demo"}  # this run first moves the robot to its start pos
 SAYS = {
     "start": "Free motions, from the current pose",
     "jog": "The robot moves while a button is held",
-    "devices": "Does every axis turn in the right direction?",
+    "devices": "Does every axis move in the right direction?",
     "plots": "drag to zoom",
     "runs": "demo",
     "faults": "Inject a fault into a simulated device",

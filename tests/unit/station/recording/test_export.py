@@ -30,7 +30,8 @@ def run(recorded, rows, tmp_path):
 
 
 def same(found, rows) -> bool:
-    return bool((np.asarray(found, float) == rows).all())
+    """Return whether the channels, which follow the time of the motion, are the recorded ones."""
+    return bool((np.asarray(found, float)[:, 1:] == rows).all())
 
 
 def test_an_exported_csv_file_reads_back_to_the_same_numbers_with_units_in_the_header(run, rows, channels):
@@ -39,7 +40,7 @@ def test_an_exported_csv_file_reads_back_to_the_same_numbers_with_units_in_the_h
         header, *lines = csv.reader(file)
 
     assert path == run / "one.csv"
-    assert header == [channel.column for channel in channels.all]
+    assert header == ["motion_time [s]", *(channel.column for channel in channels.all)]
     assert {"time [s]", "joints.inner_translation [m]", "wrench_raw.outer_mz [N m]", "tip_true.x [m]"} <= set(header)
     assert same(lines, rows)
 
@@ -48,7 +49,7 @@ def test_an_exported_parquet_file_has_the_columns_the_units_and_the_label(run, r
     (path,) = export_run(run, "parquet", None)
     table = parquet.read_table(path)
 
-    assert table.column_names == [channel.column for channel in channels.all]
+    assert table.column_names == ["motion_time [s]", *(channel.column for channel in channels.all)]
     assert same(np.stack([column.to_numpy() for column in table.columns], axis=1), rows)
     field = table.schema.field("force.x [N]")
     assert field.metadata == {b"name": b"force.x", b"unit": b"N"}
@@ -63,13 +64,13 @@ def test_a_long_parquet_file_has_row_groups_and_an_empty_one_has_columns(tmp_pat
             block[:, 0] = first + np.arange(2500)
             writer.write(block)
         writer.close(RunOutcome.COMPLETE)
-        export_case(writer.path, "parquet", tmp_path / f"{name}.parquet")
+        export_case(writer.path, "parquet", tmp_path / f"{name}.parquet", 0.0)
         with parquet.ParquetFile(tmp_path / f"{name}.parquet") as found:
             assert found.metadata.num_rows == count
-            assert found.schema_arrow.names == [channel.column for channel in channels.all]
+            assert found.schema_arrow.names == ["motion_time [s]", *(channel.column for channel in channels.all)]
             if count:
                 assert found.num_row_groups == 2
-                assert same(found.read(columns=["time [s]"]).column(0).to_numpy(), np.arange(count))
+                assert (found.read(columns=["time [s]"]).column(0).to_numpy() == np.arange(count)).all()
 
 
 def test_a_matlab_file_has_valid_names_and_the_original_ones(run, rows, channels):
@@ -81,7 +82,7 @@ def test_a_matlab_file_has_valid_names_and_the_original_ones(run, rows, channels
     assert content["units"]["force_x_N"] == "N"
     assert content["channels"]["wrench_raw_outer_mz_N_m"] == "wrench_raw.outer_mz"
     assert content["label"] == "complete"
-    assert sum(not name.startswith("__") for name in content) == len(channels) + 3
+    assert sum(not name.startswith("__") for name in content) == 1 + len(channels) + 3
 
 
 def test_matlab_names_are_valid_and_unique():
@@ -97,9 +98,24 @@ def test_matlab_names_are_valid_and_unique():
 def test_an_export_of_one_case_is_a_file_and_of_several_a_folder(run, recorded, make_rows, tmp_path):
     assert export_run(run, "csv", tmp_path / "deep" / "x.csv") == [tmp_path / "deep" / "x.csv"]
     recorded(make_rows(5), "two")
-    with pytest.raises(RecordingError, match="one file for the cases one, two; give a folder"):
+    with pytest.raises(RecordingError, match="one file for the cases one, two; give a folder or --case"):
         export_run(run, "csv", tmp_path / "x.csv")
     assert export_run(run, "csv", tmp_path / "out") == [tmp_path / "out" / "one.csv", tmp_path / "out" / "two.csv"]
+    assert export_run(run, "csv", tmp_path / "x.csv", case="two") == [tmp_path / "x.csv"]
+    assert len((tmp_path / "x.csv").read_text().splitlines()) == 1 + 5
+    with pytest.raises(RecordingError, match="the run has no case 'three'; its cases are one, two"):
+        export_run(run, "csv", None, case="three")
+
+
+def test_the_motion_time_counts_from_the_start_that_the_summary_states(run, rows):
+    (run / "summary.json").write_text('{"cases": {"one": {"motion_start": 0.25}}}')
+    (path,) = export_run(run, "csv", None)
+
+    found = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert found[:, 0].tolist() == [time - 0.25 for time in rows[:, 0].tolist()]
+    (run / "summary.json").write_text("[]")
+    with pytest.raises(RecordingError, match="cannot read the start of the motion of 'one'"):
+        export_run(run, "csv", None)
 
 
 def test_the_progress_of_an_export_rises_with_every_block(run):
