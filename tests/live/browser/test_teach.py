@@ -144,7 +144,7 @@ def test_first_unreachable_waypoint_is_marked_with_the_reason(teach: Page) -> No
     assert " m " not in teach.locator("tr.why").inner_text()  # the message uses the page's unit mm
     teach.get_by_label("waypoint 4 time s").fill("3")
     teach.get_by_label("waypoint 4 time s").press("Tab")
-    teach.locator("tr.why", has_text="time 3 s is not after 8 s").wait_for()
+    teach.locator("tr.why", has_text="must be later than the previous row's 8 s").wait_for()
     assert teach.get_by_role("button", name="Start motion").is_disabled()
 
 
