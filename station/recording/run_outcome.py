@@ -134,6 +134,10 @@ class CaseOutcome(Strict):
     """root mean square of the error in x, y, z [mm]"""
     rms_distance: float
     """root mean square of the distance [mm]"""
+    measured_largest: float | None = None
+    """largest distance by the tracker [mm] beside the true one; null if `against` is "measured" or without a tracker"""
+    measured_rms: float | None = None
+    """root mean square of the distance by the tracker [mm], beside the true one; null as `measured_largest`"""
     force: float | None = None
     """largest filtered force at the tip [N]; null in runs of older versions"""
     counted_from: float = 0.0
@@ -154,12 +158,15 @@ def _outcome(numbers: Mapping[str, Any]) -> CaseOutcome | None:
     prefix = "true_" if against == "true" else ""
     try:
         rms = numbers[f"{prefix}rms_error_mm"]
+        measured = numbers.get("rms_error_mm") if against == "true" else None
         return CaseOutcome(
             against=against,
             largest=numbers[f"{prefix}max_abs_error_mm"],
             largest_distance=numbers[f"{prefix}max_distance_mm"],
             rms=rms,
             rms_distance=round(math.hypot(*rms), 4),
+            measured_largest=None if measured is None else numbers["max_distance_mm"],
+            measured_rms=None if measured is None else round(math.hypot(*measured), 4),
             force=numbers.get("force_max_N"),
             counted_from=numbers.get("counted_from_s", 0.0),
         )

@@ -104,7 +104,7 @@ def places(desk: Desk) -> bytes:
     desk.page.locator(".card", has_text="Move smoothly through").click()
     file = FilePayload(name="places.csv", mimeType="text/csv", buffer=PLACES.encode())
     desk.page.get_by_label("CSV file").set_input_files(file)
-    desk.page.locator(".teach [role=status]", has_text="✓ on the model").wait_for()
+    desk.page.locator(".teach [role=status]", has_text="✓ according to the model").wait_for()
     picture = desk.shot()
     desk.page.get_by_role("button", name="all motions").click()
     return picture

@@ -36,9 +36,10 @@ function numbers(run) {
     row("largest", one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
     row("RMS", one.rms, one.rms_distance, ""),
   ]);
-  const [, first] = cases[0];
+  const [, first] = cases[0], measured = cases.map(([, one]) => one).filter((one) => one.measured_largest !== null);
+  const byTracker = measured.length === 0 ? "" : ` The tracker measured distances of at most ${range(measured.map((one) => one.measured_largest))}, RMS ${range(measured.map((one) => one.measured_rms))}.`;
   return make("div", {}, make("table", {}, make("tr", {}, ...head), ...rows),
-    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.`));
+    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.${byTracker}`));
 }
 
 /** Return charts with the curves of all `cases`: [[name, curve]]. */

@@ -122,7 +122,12 @@ def test_a_free_motion_settles_in_twenty_seconds_or_half_of_its_time():
 
 def test_the_outcome_of_a_case_uses_true_errors_if_known_and_tracker_errors_otherwise() -> None:
     found = case_outcomes(
-        {"cases": {"lab": {**TRUE, "max_abs_error_mm": [9, 9, 9], "force_max_N": 0.2}, "bench": MEASURED}}
+        {
+            "cases": {
+                "lab": {**TRUE, "max_distance_mm": 9.0, "rms_error_mm": [2.0, 1.0, 2.0], "force_max_N": 0.2},
+                "bench": MEASURED,
+            }
+        }
     )
 
     assert [(name, case.against) for name, case in found.items()] == [("lab", "true"), ("bench", "measured")]
@@ -130,6 +135,7 @@ def test_the_outcome_of_a_case_uses_true_errors_if_known_and_tracker_errors_othe
         assert (case.largest, case.largest_distance) == ((1.0, 2.0, 2.0), 3.0)
         assert (case.rms, case.rms_distance) == ((0.3, 0.0, 0.4), 0.5)
     assert [case.force for case in found.values()] == [0.2, None]
+    assert [(case.measured_largest, case.measured_rms) for case in found.values()] == [(9.0, 3.0), (None, None)]
 
 
 def test_a_case_without_errors_has_no_outcome() -> None:
