@@ -96,7 +96,8 @@ def _linked(text: str, folder: str, uri: str, pages: dict[str, str], pictures: d
             raise FileNotFoundError(f"{folder} links to {target}, which does not exist")
         if picture:
             pictures[path] = f"pictures/{path.replace('/', '-')}"
-            return f"![{name}]({os.path.relpath(pictures[path], Path(uri).parent)})"
+            shown = os.path.relpath(pictures[path], Path(uri).parent)
+            return f"[![{name}]({shown})]({shown})"  # a click shows the picture in its full size
         if path in pages:
             return f"[{name}]({os.path.relpath(pages[path], Path(uri).parent)}{heading})"
         return name if "`" in name else f"{name} (`{path}`)"
@@ -157,17 +158,65 @@ def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
             yield from _options(parser_of)
 
 
+#: Section of the page of the channels; the only description of null, -1 and repeated values.
+UNKNOWN_VALUES = """
+## Values that are not measured now
+
+A row always has every channel. A value is unknown while stages are homed, while a device is silent, or if the bench
+does not have the device. The outputs of the station report an unknown value as follows:
+
+| output | unknown value |
+|---|---|
+| recording, export, Foxglove `/telemetry`, LSL | the last known value remains |
+| `GET /api/status`, WebSocket `/api/telemetry` | `null` |
+| OpenIGTLink, ROS 2, drawings | omitted |
+| page | a gap in a plot, a dash in the strip above the tabs |
+
+These channels show which values of a row are known:
+
+| channel | value | meaning |
+|---|---|---|
+| `trouble.*` | -1 | the bench does not have this device, so the device's channels have no meaning |
+| | 0 | the device has no fault |
+| | {severities} | the fault's severity; from HOLD on the device's channels are unknown |
+| `estimates_frozen` | 1 | the controller had no new measurements: the estimates are those of an earlier row |
+| `tip_new`, `target_new` | 0 | no new tracker frame; the values of the last frame remain |
+| `truth_known` | 0 | there is no virtual lab: `tip_true`, `force_true` and the other true channels are 0 |
+| `direction_*` | 0, 0, 0 | the direction is neither measured nor controlled |
+| `request_kind` | 0, 1, 2 | no streamed setpoint, a position, a velocity |
+
+Without force sensors the channels `force`, `force_filtered` and `force_variance` have the force from the deflection.
+
+## Numbers of states and phases
+
+| channel | numbers |
+|---|---|
+| `state` | {states} |
+| `phase` | {phases} |
+
+## All channels
+"""
+
+
 def _channels() -> Iterator[str]:
     """Yield the page of the channels of the robot `paper`, from telemetry."""
     from station.config.robots import load_robot
+    from station.control.states import State
+    from station.control.task import Phase
     from station.control.telemetry import Channels
+    from station.devices.interfaces import Severity
 
     channels = Channels(load_robot("paper").robot())
+    numbers = {"severities": Severity, "states": State, "phases": Phase}
     yield (
         "# Channels\n\nEach tick of the control loop has one row with these channels, for the robot `paper`. A robot "
         "with other joints or tubes has their names instead. [Recordings](../how-to/recordings.md) describe the file, "
-        "the [glossary](glossary.md) the terms.\n\n| group | columns | unit |\n|---|---|---|"
+        "the [glossary](glossary.md) the terms.\n"
     )
+    yield UNKNOWN_VALUES.format(
+        **{name: ", ".join(f"{each.value} {each.name}" for each in kind) for name, kind in numbers.items()}
+    )
+    yield "| group | columns | unit |\n|---|---|---|"
     for group in channels.groups:
         own = [each for each in channels.all if each.name.rsplit(".", 1)[0] == group]
         columns = ", ".join(f"`{each.name.removeprefix(group + '.')}`" for each in own if each.name != group)

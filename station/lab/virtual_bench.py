@@ -15,6 +15,7 @@ from station.config.loads import Load, NoLoad, force_of
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 from station.control.loop import ControlLoop
+from station.control.states import State
 from station.devices.ati.calibration import read_page
 from station.devices.ati.netft import NetftSensors
 from station.devices.aurora.dialogue import AuroraSettings
@@ -221,8 +222,8 @@ def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE)
     )
 
 
-#: Largest number of ticks that a bench in memory needs to reach the state READY.
-WARMUP_TICKS = 1500
+#: Largest number of ticks that a bench in memory needs to reach the state READY, and number of ticks after that.
+WARMUP_TICKS, READY_TICKS = 1500, 50
 
 
 def warm_up_control(
@@ -251,6 +252,10 @@ def warm_up_control(
     lab, devices = virtual_bench(robot, config, seed, joints)
     loop = ControlLoop(controller, devices)
     loop.connect(0.0)
+    ready = 0
     for tick in range(WARMUP_TICKS):
         lab.advance(tick * PERIOD_S)
         loop.tick(tick * PERIOD_S)
+        ready += loop.state is State.READY
+        if ready == READY_TICKS:
+            break

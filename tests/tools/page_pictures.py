@@ -17,7 +17,7 @@ from typing import NamedTuple
 from PIL import Image
 from playwright.sync_api import Browser, FilePayload, FloatRect, Page
 
-from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, chromium, open_tab
+from tests.harness.chromium import PATIENCE, SIZE, SLOWLY, VISITED, chromium, open_tab
 from tests.harness.pad import LEFT, PAD
 from tests.harness.serving import Served, serving
 
@@ -192,6 +192,7 @@ def at(lab: str, browser: Browser) -> Iterator[Desk]:
     with serving("--lab", lab, rate=1.0) as station:
         page = browser.new_page(viewport=SIZE, color_scheme="light")
         page.set_default_timeout(PATIENCE)
+        page.add_init_script(VISITED)
         page.add_init_script(SLOWLY.replace("250", "2000"))  # slower, or the page is stale
         page.goto(station.url)
         page.frame_locator("#scene").locator("canvas").first.wait_for()

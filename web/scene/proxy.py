@@ -161,7 +161,9 @@ class SceneServer(NamedTuple):
 def viser_routes(scene_server: SceneServer, lease: Lease, audit: Audit) -> tuple[APIRouter, httpx.AsyncClient]:
     """Return routes that forward `VISER_PREFIX` to viser, and their HTTP client, which the caller closes."""
     router = APIRouter(include_in_schema=False)
-    client = httpx.AsyncClient(base_url=f"http://127.0.0.1:{scene_server.port}", timeout=10.0)
+    # No proxy of the environment and no certificates: viser is on this computer.
+    address = f"http://127.0.0.1:{scene_server.port}"
+    client = httpx.AsyncClient(base_url=address, timeout=10.0, trust_env=False, verify=False)  # noqa: S501
 
     # The order matters: the last decorator registers first, and the first matching route is used.
     @router.get(VISER_PREFIX + "/{path:path}")
