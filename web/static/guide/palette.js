@@ -116,4 +116,4 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
   open();
 });
-$("tools").prepend(button("⌘", open, { title: "All actions (Ctrl+K)", "aria-label": "all actions" }));
+$("tools").prepend(button("☰", open, { title: "All actions (Ctrl+K)", "aria-label": "all actions" }));

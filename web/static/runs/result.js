@@ -167,7 +167,7 @@ function overlaidCurves(runs) {
     const drawn = make("div");
     const draw = () => {
       const [nameA, nameB] = matched[Math.max(0, choice.selectedIndex)] ?? [];
-      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, `No curves to compare: run ${runs[Object.keys(a).length === 0 ? 0 : 1].label ?? ""} has no recorded motion.`)
+      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, `No curves to compare: ${heading(...(Object.keys(a).length === 0 ? [runs[0], 0] : [runs[1], 1]))} has no recorded motion.`)
         : pictures([[heading(runs[0], 0), a[nameA]], [heading(runs[1], 1), b[nameB]]]));
     };
     choice.addEventListener("change", draw);

@@ -212,7 +212,8 @@ function draw(plane, field, stale) {
       pen.fill();
     }
     pen.fillStyle = colours.text;
-    pen.fillText(`${size.toFixed(2)} N`, Math.min(x + u + 8, w - 42), Math.min(y + v + 4, h - RULER_HEIGHT - 6));
+    const [right, down] = long > 16 ? [u + 8, v + 4] : [16, 24]; // the text of a short arrow stays clear of the tip's marks
+    pen.fillText(`${size.toFixed(2)} N`, Math.min(x + right, w - 42), Math.min(y + down, h - RULER_HEIGHT - 6));
   }
 
   function tips() {
