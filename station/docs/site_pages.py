@@ -100,6 +100,8 @@ def _linked(text: str, folder: str, uri: str, pages: dict[str, str], pictures: d
             return f"[![{name}]({shown})]({shown})"  # a click shows the picture in its full size
         if path in pages:
             return f"[{name}]({os.path.relpath(pages[path], Path(uri).parent)}{heading})"
+        if name == path:
+            return f"`{path}`"
         return name if "`" in name else f"{name} (`{path}`)"
 
     parts = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
@@ -216,11 +218,11 @@ def _channels() -> Iterator[str]:
     yield UNKNOWN_VALUES.format(
         **{name: ", ".join(f"{each.value} {each.name}" for each in kind) for name, kind in numbers.items()}
     )
-    yield "| group | columns | unit |\n|---|---|---|"
+    yield "| group | unit | columns |\n|---|---|---|"
     for group in channels.groups:
         own = [each for each in channels.all if each.name.rsplit(".", 1)[0] == group]
         columns = ", ".join(f"`{each.name.removeprefix(group + '.')}`" for each in own if each.name != group)
-        yield f"| `{group}` | {columns} | {', '.join(dict.fromkeys(each.unit for each in own if each.unit))} |"
+        yield f"| `{group}` | {', '.join(dict.fromkeys(each.unit for each in own if each.unit))} | {columns} |"
 
 
 def _rest() -> Iterator[str]:
