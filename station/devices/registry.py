@@ -22,6 +22,8 @@ from station.devices.config import BenchFile
 from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
 from station.devices.zaber.stages import zaber
+from station.devices.zaber_ascii.emergency_stop import zaber_ascii_emergency_stop
+from station.devices.zaber_ascii.stages import zaber_ascii
 
 ENTRY_POINT_GROUP = "ctr_station.devices"
 
@@ -33,12 +35,15 @@ Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
-    "stages": {"zaber": zaber},
+    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii},
     "tracker": {"aurora": aurora},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
 #: Emergency stops of the built-in drivers of stages.
-EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {"zaber": zaber_emergency_stop}
+EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {
+    "zaber": zaber_emergency_stop,
+    "zaber_ascii": zaber_ascii_emergency_stop,
+}
 
 
 def find(kind: DeviceKind, name: str) -> Driver:

@@ -36,7 +36,7 @@ from station.config.strict import (
 )
 from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.config import LabConfig, Without, load_lab
+from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.recording.run_outcome import counted_from
 
@@ -61,8 +61,8 @@ class CaseFile(Strict):
     """title on the page and in the report"""
     robot: str = "paper"
     """preset, or a .toml file in the folder of this one"""
-    lab: str = "gentle"
-    """virtual lab: preset or file"""
+    lab: LabName = "gentle"
+    """virtual lab: preset, file, or a table with other `stages`"""
     without: Without = ()
     """devices that the lab does not have in this case: tracker, sensors"""
     start: Mapping[str, float]
@@ -310,6 +310,8 @@ def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         return dict(part)
 
     result = resolved(resolved(table, "robot", ".toml"), "lab", ".toml")
+    if isinstance(lab := result.get("lab"), Mapping):
+        result["lab"] = resolved(lab, "base", ".toml")
     if result.get("calibration"):
         result = resolved(result, "calibration", "")
     if isinstance(motion := result.get("trajectory"), Mapping):

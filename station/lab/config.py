@@ -176,6 +176,8 @@ class TargetConfig(Strict):
     """largest change of both amplitudes, with a period of 45 s, as a fraction"""
 
 
+#: Simulated stages, by the name of their driver.
+StagesKind = Literal["zaber", "zaber_ascii"]
 #: Kinds of devices that a bench does not have.
 Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
 
@@ -189,6 +191,8 @@ class LabConfig(Strict):
     """title of the lab in recordings and reports"""
     devices: Literal["wire", "ideal"] = "wire"
     """`wire`: the devices are simulated with their wires; `ideal`: the devices have no noise, delay and wires"""
+    stages: StagesKind = "zaber"
+    """simulated stages, by the name of their driver"""
     plant: PlantConfig = PlantConfig()
     """parameters of the plant: its true tubes and their friction"""
     tracker: TrackerConfig = TrackerConfig()
@@ -223,12 +227,30 @@ class LabConfig(Strict):
 FORMER_NAMES = {"default": "gentle"}
 
 
-def load_lab(name: str, robot: RobotFile) -> LabConfig:
-    """Load a virtual lab for a robot, by preset name or from a file.
+class LabChoice(Strict):
+    """A virtual lab with other stages."""
+
+    base: str = "gentle"
+    """preset, or path of a .toml file relative to this file"""
+    stages: StagesKind
+    """simulated stages, by the name of their driver"""
+
+    def __str__(self) -> str:
+        return f"{self.base} with stages '{self.stages}'"
+
+
+#: Value of `lab` in a station or experiment file.
+LabName = str | LabChoice
+
+
+def load_lab(name: LabName, robot: RobotFile) -> LabConfig:
+    """Load a virtual lab for a robot, by preset name, from a file, or as a table `lab`.
 
     Raises:
         ConfigError: the file is invalid; the message names file, key, value and what was expected.
     """
+    if isinstance(name, LabChoice):
+        return load_lab(name.base, robot).model_copy(update={"stages": name.stages})
     path = preset("labs", FORMER_NAMES.get(name, name))
     lab = check(LabConfig, read_toml(path), str(path))
     try:

@@ -20,7 +20,8 @@ from station.config.robots import RobotFile
 from station.config.strict import ConfigError, NotNegative, Positive, Strict
 from station.lab.simulated_aurora import AuroraFaults, SimulatedAurora
 from station.lab.simulated_netft import NetftFaults, SimulatedNetft
-from station.lab.simulated_zaber import Faults, SimulatedChain
+from station.lab.simulated_stages import SimulatedStages
+from station.lab.simulated_zaber import Faults
 from station.lab.wires import DeviceLine, Plug
 
 Part = Literal["stages", "joint", "tracker", "sensor"]
@@ -179,7 +180,7 @@ class FaultScript:
     def __init__(
         self,
         robot: RobotFile,
-        chain: SimulatedChain,
+        chain: SimulatedStages,
         aurora: SimulatedAurora,
         boxes: Sequence[SimulatedNetft],
         lines: tuple[DeviceLine, DeviceLine],

@@ -26,6 +26,7 @@ from station.lab.config import LabConfig
 from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, TcpDeviceEnd, UdpDeviceEnd
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
+from station.lab.simulated_stages import STAGES
 from station.lab.wires import Wires
 
 PERIOD_S = 0.001  #: longest time between two polls of the devices; about the duration of a byte at 9600 baud [s]
@@ -37,7 +38,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
     """Return the `[devices]` of a lab with these endpoints; `clock` sets their timeouts."""
     tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
     tables: dict[str, dict[str, Any]] = {
-        "stages": {"driver": "zaber", "port": endpoints["zaber"], "deadline": clock.patience},
+        "stages": dict(STAGES[config.stages].table(endpoints[config.stages], clock)),
         "tracker": {
             "driver": "aurora",
             "port": endpoints["aurora"],
@@ -88,7 +89,7 @@ class LabServer:
             def line(name: str) -> PtyDeviceEnd | TcpDeviceEnd:
                 return PtyDeviceEnd(None if folder is None else folder / name) if pty else TcpDeviceEnd()
 
-            self._lines = (line("zaber"), line("aurora"))
+            self._lines = (line(config.stages), line("aurora"))
             for end in self._lines:
                 opened.callback(end.close)
             boxes: list[UdpDeviceEnd] = []
@@ -105,7 +106,7 @@ class LabServer:
         self.start_time = clock.now()  #: time of the clock at the lab's time 0 [s]
         #: Endpoints of the devices, as `ctr-station lab` prints them.
         self.endpoints: dict[str, Any] = {
-            "zaber": self._lines[0].name,
+            config.stages: self._lines[0].name,
             "aurora": self._lines[1].name,
             "netft": [
                 {

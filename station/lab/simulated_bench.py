@@ -23,10 +23,9 @@ from station.lab.faults import FaultScript, LabFault
 from station.lab.frictional_plant import true_plant
 from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
-from station.lab.simulated_zaber import SimulatedChain
+from station.lab.simulated_stages import STAGES
 from station.lab.unmodelled_errors import UnmodelledErrors, random_direction
 from station.lab.wires import Wires, memory_wires
-from station.lab.zaber_unit import Unit, UnitKind
 
 #: Periods with which rate and size of the target's oscillations drift [s].
 RATE_DRIFT_PERIOD_S, SIZE_DRIFT_PERIOD_S = 60.0, 45.0
@@ -85,9 +84,6 @@ class MovingTarget:
         return self._middle + breathing.at(time) + heartbeat.at(time)
 
 
-#: Device IDs of the simulated rotation and translation stages; those of the real stages are unknown.
-ROTARY_ID, LINEAR_ID = 4421, 4332
-FIRST_SERIAL_NUMBER = 1000  #: a simulated stage has this serial number plus its device number
 #: Records per second of each force sensor, 7000/13. With 500 every record would wait equally long for the next poll,
 #: and its age would be unknown. With this rate the waits vary; the shortest one gives the time of the measurement.
 FORCE_RECORD_RATE_HZ = 7000.0 / 13.0
@@ -116,7 +112,7 @@ class SimulatedBench:
         # Each part of the bench has a separate random stream, so that the parts do not change each other's draws.
         streams = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
         plant, tracker, sensors, unknown, moving = streams
-        memory, self.hosts = memory_wires(len(robot.tubes))
+        memory, self.hosts = memory_wires(len(robot.tubes), config.stages)
         self.config = config
         self._wires = wires or memory
         #: One stage for each joint, numbered from the computer in the robot file's order.
@@ -125,9 +121,7 @@ class SimulatedBench:
             (q - setup.home_at) / setup.joint.microstep
             for q, setup in zip(positions.tolist(), self.setups, strict=True)
         ]
-        self.chain = SimulatedChain(
-            [_unit(s, position, homed) for s, position in zip(self.setups, true_positions, strict=True)], seed
-        )
+        self.chain = STAGES[config.stages].simulate(self.setups, true_positions, homed, seed)
         self._axes = [(s.home_at, s.joint.microstep, u) for s, u in zip(self.setups, self.chain.units, strict=True)]
         self.hidden = UnmodelledErrors(robot, config.hidden, unknown)
         self._off_tip = bool(self.hidden.coil.any())
@@ -183,7 +177,7 @@ class SimulatedBench:
         if now >= self.faults.due:
             self.faults.apply(now)
         before = self._coil_position
-        simulated_zaber.pump(self._wires.zaber, self.chain, now, written=self.time)
+        simulated_zaber.pump(self._wires.stages, self.chain, now, written=self.time)
         try:
             force = force_of(self._load, now - self._load_start)
             joints = self.hidden.joints(self.positions)
@@ -220,14 +214,3 @@ class SimulatedBench:
     def _coil_axis(self) -> Array | None:
         """Return the direction of the coil's axis (3,), world frame."""
         return self._plant.rotation @ self.hidden.coil_axis if self.hidden.misaligned else self.truth.direction
-
-
-def _unit(setup: StageSetup, true_position: float, homed: bool) -> Unit:
-    """Return the unit of a stage at `true_position` from its home sensor's zero [microsteps]."""
-    if setup.joint.motion == "rotation":
-        kind = UnitKind(
-            ROTARY_ID, None, round(2.0 * np.pi / setup.joint.microstep), serial=FIRST_SERIAL_NUMBER + setup.device
-        )
-    else:
-        kind = UnitKind(LINEAR_ID, setup.maximum, serial=FIRST_SERIAL_NUMBER + setup.device)
-    return Unit(kind, setup.device, true_position, true_position + setup.home_count if homed else None)

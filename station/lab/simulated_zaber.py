@@ -10,7 +10,7 @@ import math
 import random
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from station.devices.links.link import Link
 from station.devices.zaber.protocol import (
@@ -50,15 +50,17 @@ class Waiting(NamedTuple):
 class PacedLine:
     """The line from the units to the host, with the transmission time of each byte."""
 
-    def __init__(self) -> None:
+    def __init__(self, byte_time: float = BYTE_TIME_S) -> None:
+        """`byte_time` is the transmission time of a byte [s]."""
+        self._byte_time = byte_time
         self._free = -math.inf
         self._waiting: deque[Waiting] = deque()
 
     def put(self, data: bytes, now: float) -> None:
         """Send bytes at `now` [s] or as soon as the line is free; bytes beyond the buffer's size are lost."""
         start = max(self._free, now)
-        data = data[: free_buffer(start - now)]
-        self._free = start + len(data) * BYTE_TIME_S
+        data = data[: free_buffer(start - now, self._byte_time)]
+        self._free = start + len(data) * self._byte_time
         self._waiting.append(Waiting(start, data))
 
     def take(self, until: float) -> bytes:
@@ -68,11 +70,11 @@ class PacedLine:
             return carried
         while self._waiting:
             start, data = self._waiting[0]
-            count = int((until - start) / BYTE_TIME_S + 1e-6)
+            count = int((until - start) / self._byte_time + 1e-6)
             if count < len(data):
                 if count > 0:
                     carried += data[:count]
-                    self._waiting[0] = Waiting(start + count * BYTE_TIME_S, data[count:])
+                    self._waiting[0] = Waiting(start + count * self._byte_time, data[count:])
                 break
             carried += data
             self._waiting.popleft()
@@ -113,9 +115,9 @@ class ReceivedLine:
                     self._deaf_until = time + RENUMBER_TIME_S
 
 
-def free_buffer(backlog: float) -> int:
+def free_buffer(backlog: float, byte_time: float = BYTE_TIME_S) -> int:
     """Return the free bytes of a port's buffer whose content takes `backlog` [s] to transmit."""
-    return max(0, BUFFER_BYTES - math.ceil(backlog / BYTE_TIME_S))
+    return max(0, BUFFER_BYTES - math.ceil(backlog / byte_time))
 
 
 class SimulatedChain:
@@ -211,7 +213,19 @@ class SimulatedChain:
         return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
 
 
-def pump(link: Link, chain: SimulatedChain, now: float, written: float | None = None) -> None:
+class LineDevices(Protocol):
+    """Devices on one serial line."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Receive the bytes that the host has written until `now` [s]."""
+        ...
+
+    def advance(self, now: float) -> bytes:
+        """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
+        ...
+
+
+def pump(link: Link, chain: LineDevices, now: float, written: float | None = None) -> None:
     """Transmit bytes between a link (a pipe in memory, a pty or a socket) and the chain until `now` [s].
 
     In virtual time `written` is the time at which the link's bytes were written; in real time they count as

@@ -29,14 +29,13 @@ from station.devices.interfaces import (
     TipReading,
     WrenchReading,
 )
-from station.devices.zaber.setup import PortSetup
-from station.devices.zaber.stages import ZaberStages
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.frictional_plant import true_plant
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
+from station.lab.simulated_stages import STAGES
 
 
 class IdealLab:
@@ -216,7 +215,7 @@ def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE)
         measures_axis=tracker.direction_noise is not None,
     )
     return Devices(
-        ZaberStages(lab.setups, [PortSetup(lab.hosts.zaber, tuple(range(len(lab.setups))))]),
+        STAGES[lab.config.stages].driver(lab.setups, lab.hosts.stages),
         AuroraTracker(lab.hosts.aurora, settings, registration),
         NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
     )

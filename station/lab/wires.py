@@ -201,7 +201,7 @@ class MemoryDatagrams:
 class Wires(NamedTuple):
     """The simulated devices' ends of the wires."""
 
-    zaber: DeviceLine
+    stages: DeviceLine
     aurora: DeviceLine
     netft: tuple[DatagramDeviceEnd, ...]  #: ends of the force sensors, one for each tube
 
@@ -209,14 +209,14 @@ class Wires(NamedTuple):
 class Hosts(NamedTuple):
     """The station drivers' ends of wires in memory."""
 
-    zaber: HostPort
+    stages: HostPort
     aurora: HostPort
     netft: tuple[MemoryDatagrams, ...]
 
 
-def memory_wires(tubes: int) -> tuple[Wires, Hosts]:
-    """Return wires in memory, for virtual time."""
-    zaber, aurora = HostPort("zaber"), HostPort("aurora")
+def memory_wires(tubes: int, stages: str = "zaber") -> tuple[Wires, Hosts]:
+    """Return wires in memory, for virtual time; `stages` is the name of the stages' line."""
+    line, aurora = HostPort(stages), HostPort("aurora")
     ends = tuple(MemoryDatagramEnd() for _ in range(tubes))
     links = tuple(end.link(f"netft {number}") for number, end in enumerate(ends, 1))
-    return Wires(zaber.device, aurora.device, ends), Hosts(zaber, aurora, links)
+    return Wires(line.device, aurora.device, ends), Hosts(line, aurora, links)

@@ -23,7 +23,7 @@ from station.control.monitors import Margins, OverrunLimits, check_design
 from station.control.process import ControlSetup
 from station.devices.config import BenchFile, DevicesFile
 from station.devices.registry import emergency_stop, plan
-from station.lab.config import LabConfig, Without, load_lab
+from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.virtual_bench import warm_up_control
 
 
@@ -135,8 +135,8 @@ class ClockFile(Strict):
     patience: Annotated[float, Field(ge=0.02, le=10.0)] | None = None
     """longest silence of the stages and force sensors before they count as lost [s]. The default is 0.15 for the
     virtual lab, because other programs on this computer may delay simulated devices. With other devices this key sets a
-    missing `deadline` of `zaber` stages and a missing `stale_after` of `netft` sensors; without this key the drivers'
-    defaults apply. Use this key for a bench that `ctr-station lab` simulates"""
+    missing `deadline` of stages of a built-in driver and a missing `stale_after` of `netft` sensors; without this key
+    the drivers' defaults apply. Use this key for a bench that `ctr-station lab` simulates"""
 
     def for_devices(self, devices: DevicesFile) -> StationClock:
         """Return the clock of a station that has these devices.
@@ -157,8 +157,11 @@ class ClockFile(Strict):
             return bench
         tables = {
             kind: {key: self.patience, **table}
-            for kind, driver, key in (("stages", "zaber", "deadline"), ("sensors", "netft", "stale_after"))
-            if (table := getattr(bench, kind)) and table["driver"] == driver
+            for kind, drivers, key in (
+                ("stages", ("zaber", "zaber_ascii"), "deadline"),
+                ("sensors", ("netft",), "stale_after"),
+            )
+            if (table := getattr(bench, kind)) and table["driver"] in drivers
         }
         return bench.model_copy(update=tables)
 
@@ -176,8 +179,8 @@ class StationFile(Strict):
     """format of this file"""
     robot: str = "paper"
     """preset, or path of a .toml file relative to this file"""
-    lab: str = "gentle"
-    """virtual lab: preset, or path of a .toml file relative to this file"""
+    lab: LabName = "gentle"
+    """virtual lab: preset, path of a .toml file relative to this file, or a table with other `stages`"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """seed of everything random in the virtual lab"""
     park: Mapping[str, float] | None = None
@@ -262,7 +265,7 @@ class StationFile(Strict):
             on_operator_loss=self.on_operator_loss,
             calibration=calibration,
             clock=clock,
-            lab_name=self.lab if devices is None else "",
+            lab_name=str(self.lab) if devices is None else "",
             robot_name=self.robot,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
@@ -294,7 +297,12 @@ def load_station(path: Path | None, changes: Mapping[str, Any] = MappingProxyTyp
     return file
 
 
-def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, str]:
-    """Return the paths of robot and lab in a station file, resolved relative to the folder of that file."""
-    named = {key: table.get(key) for key in ("robot", "lab")}
-    return {key: str(path.parent / to) for key, to in named.items() if isinstance(to, str) and to.endswith(".toml")}
+def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return robot and lab of a station file, with their paths resolved relative to the folder of that file."""
+
+    def resolved(to: Any) -> Any:
+        if isinstance(to, Mapping):
+            return {**to, "base": resolved(to["base"])} if "base" in to else to
+        return str(path.parent / to) if isinstance(to, str) and to.endswith(".toml") else to
+
+    return {key: resolved(table[key]) for key in ("robot", "lab") if key in table}

@@ -109,7 +109,7 @@ class AxisEstimate:
             position += change * (time - 0.5 * abs(change) / self._acceleration)
             self._velocity = velocity + change
         if not 0.0 <= position <= self._maximum:  # the unit stops at the ends of its travel
-            position = min(max(position, 0.0), self._maximum)
+            position, self._velocity = min(max(position, 0.0), self._maximum), 0.0
         self.position = position
 
 

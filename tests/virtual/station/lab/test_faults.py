@@ -29,7 +29,7 @@ class Wire:
 
     def __init__(self, robot) -> None:
         self.lab = SimulatedBench(robot, LabConfig(), 3, AT, homed=True)
-        self.zaber, self.boxes = self.lab.hosts.zaber, self.lab.hosts.netft
+        self.zaber, self.boxes = self.lab.hosts.stages, self.lab.hosts.netft
         self.tracker = AuroraTracker(self.lab.hosts.aurora, registration=GENERATOR_POSE)
         self.divisor = self.lab.boxes[0].settings.divisor
         self.rate = 7000.0 / self.divisor  # records per second

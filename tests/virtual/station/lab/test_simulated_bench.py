@@ -45,7 +45,7 @@ class Bench:
         self.lab = SimulatedBench(robot, config, seed, at, homed=homed)
         hosts = self.lab.hosts
         every = tuple(range(len(robot.joints)))
-        self.stages = ZaberStages(self.lab.setups, [PortSetup(hosts.zaber, every)])
+        self.stages = ZaberStages(self.lab.setups, [PortSetup(hosts.stages, every)])
         self.tracker = AuroraTracker(hosts.aurora, registration=GENERATOR_POSE)
         self.sensors = NetftSensors(hosts.netft, [read_page(box.page() or b"") for box in self.lab.boxes])
         self.sensors.start(0.0)

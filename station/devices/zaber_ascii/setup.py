@@ -1,0 +1,141 @@
+"""Configuration of Zaber ASCII stages: their options in the station file, and the conversion of their positions."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from station.config.robots import JointFile
+from station.config.strict import Name, Positive, Strict
+from station.devices.config import Serial
+from station.devices.zaber_ascii.chain import DEADLINE_S, Axis
+from station.devices.zaber_ascii.protocol import (
+    ACCELERATION_FACTOR,
+    MAX_ACCELERATION,
+    MAX_POSITION,
+    MICROSTEP_RESOLUTION,
+    ZaberAsciiError,
+    speed_data,
+)
+
+
+class AsciiStageFile(Strict):
+    """One axis of a Zaber device."""
+
+    device: Annotated[int, Field(ge=1, le=99)]
+    """address of the device on the chain"""
+    axis: Annotated[int, Field(ge=1, le=9)] = 1
+    """number of the axis on its device"""
+    home_at: float | None = None
+    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
+    travel at which the axis counts 0"""
+    backwards: bool = False
+    """whether the axis's count increases when the joint's position decreases"""
+    home_speed: Positive | None = None
+    """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
+    serial: Annotated[int, Field(ge=0)] | None = None
+    """serial number that the device must report"""
+
+
+class AsciiFile(Strict):
+    """Zaber stages with the ASCII protocol on one chain."""
+
+    port: Serial
+    """port of the chain"""
+    joints: Mapping[Name, AsciiStageFile] = {}
+    """the axis of each joint; default: devices 1, 2, ... in the order of the robot's joints"""
+    deadline: Annotated[float, Field(ge=0.01, le=10.0)] = DEADLINE_S
+    """longest time from sending a command to its reply [s]; a stage is lost after four missing replies in a row"""
+
+
+@dataclass(frozen=True)
+class AsciiSetup:
+    """One stage: the joint that it moves, and the conversion of its microsteps, counted from the home sensor."""
+
+    joint: JointFile
+    device: int
+    home_at: float  #: joint position at the home sensor [rad or m]
+    home_speed: float  #: speed of homing [rad/s or m/s]
+    axis: int = 1
+    backwards: bool = False  #: whether the axis's count increases when the joint's position decreases
+    serial: int | None = None  #: expected serial number; None: any
+
+    @classmethod
+    def of(cls, joint: JointFile, file: AsciiStageFile) -> "AsciiSetup":
+        """Return the setup of a joint.
+
+        Raises:
+            ZaberAsciiError: the sensor of a translation is inside the travel, or a value is out of its range.
+        """
+        start = joint.upper if file.backwards else joint.lower
+        home_at = file.home_at
+        if home_at is None:
+            home_at = 0.0 if joint.motion == "rotation" else start
+        home_speed = 0.25 * joint.speed if file.home_speed is None else file.home_speed
+        setup = cls(joint, file.device, home_at, home_speed, file.axis, file.backwards, file.serial)
+        if joint.motion == "translation" and setup.minimum < 0:
+            raise ZaberAsciiError(
+                f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
+                "a stage cannot move beyond its home sensor: change home_at or the joint's limits"
+            )
+        largest = 16384 * MICROSTEP_RESOLUTION
+        for what, value, least, most in (
+            ("lower end of the travel", setup.minimum, -MAX_POSITION, MAX_POSITION),
+            ("upper end of the travel", setup.maximum, -MAX_POSITION, MAX_POSITION),
+            ("speed", setup.top, 1, largest),
+            ("home_speed", setup.home_data, 1, largest),
+            ("acceleration", setup.acceleration, 1, MAX_ACCELERATION),
+        ):
+            if not least <= value <= most:
+                raise ZaberAsciiError(f"{joint.name}: {what} of {value} units is outside {least} ... {most}")
+        return setup
+
+    @property
+    def step(self) -> float:
+        """Change of the joint's position per microstep [rad or m]."""
+        return -self.joint.microstep if self.backwards else self.joint.microstep
+
+    @property
+    def minimum(self) -> int:
+        """Setting limit.min: the first whole microstep inside the joint's travel."""
+        return math.ceil(min(self._ends) - 1e-6)
+
+    @property
+    def maximum(self) -> int:
+        """Setting limit.max: the last whole microstep inside the joint's travel."""
+        return math.floor(max(self._ends) + 1e-6)
+
+    @property
+    def top(self) -> int:
+        """Largest speed that the host sends [speed data]."""
+        return speed_data(self.joint.speed / self.joint.microstep)
+
+    @property
+    def home_data(self) -> int:
+        """Speed of homing [speed data]."""
+        return speed_data(self.home_speed / self.joint.microstep)
+
+    @property
+    def acceleration(self) -> int:
+        """Acceleration setting, at least the joint's value that braking distances assume [acceleration data]."""
+        return math.ceil(self.joint.acceleration / self.joint.microstep * ACCELERATION_FACTOR)
+
+    @property
+    def turn(self) -> int:
+        """One turn of a rotation stage [microsteps]."""
+        return round(2.0 * math.pi / self.joint.microstep)
+
+    def position(self, microsteps: float) -> float:
+        """Return the joint position at a count of the axis [rad or m]."""
+        return self.home_at + self.step * microsteps
+
+    def on_chain(self) -> Axis:
+        """Return the parameters that the chain needs."""
+        return Axis(self.device, self.axis, self.top, self.acceleration, self.minimum, self.maximum)
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Ends of the joint's travel [microsteps]."""
+        return (self.joint.lower - self.home_at) / self.step, (self.joint.upper - self.home_at) / self.step

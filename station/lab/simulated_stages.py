@@ -1,0 +1,109 @@
+"""The kinds of simulated stages that a virtual lab can have, with the drivers of a real bench for them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from station.config.robots import JointFile
+from station.control.clock import StationClock
+from station.devices.interfaces import Stages
+from station.devices.links.link import Link
+from station.devices.zaber.setup import PortSetup, StageSetup
+from station.devices.zaber.stages import ZaberStages
+from station.devices.zaber_ascii.setup import AsciiSetup, AsciiStageFile
+from station.devices.zaber_ascii.stages import AsciiStages
+from station.lab.config import StagesKind
+from station.lab.simulated_zaber import Faults, SimulatedChain
+from station.lab.simulated_zaber_ascii import AsciiUnit, SimulatedAsciiChain
+from station.lab.zaber_unit import Unit, UnitKind
+
+
+class SimulatedUnit(Protocol):
+    """One simulated stage."""
+
+    @property
+    def true_position(self) -> float:
+        """True position of the stage from the home sensor's zero [microsteps]."""
+        ...
+
+
+class SimulatedStages(Protocol):
+    """The simulated stages of a bench on their line; a slot is a stage's number, counted from 1."""
+
+    @property
+    def faults(self) -> Faults:
+        """Active faults of the stages and their line."""
+        ...
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None: ...
+
+    @property
+    def units(self) -> Sequence[SimulatedUnit]:
+        """The stages in the robot's order."""
+        ...
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Receive the bytes that the host has written until `now` [s]."""
+        ...
+
+    def advance(self, now: float) -> bytes:
+        """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
+        ...
+
+    def power_cycle(self, slot: int) -> None:
+        """Switch one stage off and on."""
+        ...
+
+
+class StagesInLab(NamedTuple):
+    """One kind of stages: the simulated devices, and their driver."""
+
+    #: Returns the devices of the stages at true positions [microsteps], homed or just switched on, with a seed.
+    simulate: Callable[[Sequence[StageSetup], Sequence[float], bool, int], SimulatedStages]
+    #: Returns the driver at the host's end of the line.
+    driver: Callable[[Sequence[StageSetup], Link], Stages]
+    #: Returns `[devices.stages]` for the driver at the endpoint of the line, with the timeouts of the clock.
+    table: Callable[[str, StationClock], Mapping[str, object]]
+
+
+#: Device IDs of the simulated rotation and translation stages of the T-series; those of the real stages are unknown.
+ROTARY_ID, LINEAR_ID = 4421, 4332
+FIRST_SERIAL_NUMBER = 1000  #: a simulated stage of the T-series has this serial number plus its device number
+
+
+def _zaber_unit(setup: StageSetup, true_position: float, homed: bool) -> Unit:
+    """Return the unit of a stage at `true_position` from its home sensor's zero [microsteps]."""
+    serial = FIRST_SERIAL_NUMBER + setup.device
+    if setup.joint.motion == "rotation":
+        kind = UnitKind(ROTARY_ID, None, round(2.0 * np.pi / setup.joint.microstep), serial=serial)
+    else:
+        kind = UnitKind(LINEAR_ID, setup.maximum, serial=serial)
+    return Unit(kind, setup.device, true_position, true_position + setup.home_count if homed else None)
+
+
+def _zaber(setups: Sequence[StageSetup], true_positions: Sequence[float], homed: bool, seed: int) -> SimulatedStages:
+    return SimulatedChain([_zaber_unit(s, at, homed) for s, at in zip(setups, true_positions, strict=True)], seed)
+
+
+def _ascii(setups: Sequence[StageSetup], true_positions: Sequence[float], homed: bool, seed: int) -> SimulatedStages:
+    return SimulatedAsciiChain([AsciiUnit(s, at, homed) for s, at in zip(setups, true_positions, strict=True)], seed)
+
+
+def _ascii_setup(joint: JointFile, device: int) -> AsciiSetup:
+    return AsciiSetup.of(joint, AsciiStageFile(device=device))
+
+
+STAGES: Mapping[StagesKind, StagesInLab] = {
+    "zaber": StagesInLab(
+        _zaber,
+        lambda setups, link: ZaberStages(setups, [PortSetup(link, tuple(range(len(setups))))]),
+        lambda port, clock: {"driver": "zaber", "port": port, "deadline": clock.patience},
+    ),
+    "zaber_ascii": StagesInLab(
+        _ascii,
+        lambda setups, link: AsciiStages([_ascii_setup(s.joint, s.device) for s in setups], link),
+        lambda port, clock: {"driver": "zaber_ascii", "port": port, "deadline": clock.patience},
+    ),
+}
