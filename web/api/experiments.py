@@ -134,7 +134,7 @@ def _case_out(case: Case, title: str, bench: Rig) -> CaseOut:
         trajectory=file.trajectory.kind,
         load=file.load.kind,
         robot=case.robot.name,
-        lab=file.lab,
+        lab=str(file.lab),
         start=file.start,
         facts=tuple(FactOut(what=fact.what, text=fact.text) for fact in case_facts(case)),
         warnings=(*deviations_from_case(case, bench), *case.warnings),
