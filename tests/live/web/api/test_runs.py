@@ -136,7 +136,7 @@ def test_a_recording_is_exported_in_every_format(client, format_):
     answer = client.get(f"/api/runs/{name}/export", params={"format": format_, "case": "regulation"})
     assert answer.status_code == 200, answer.text
     assert f'filename="{name}-regulation.{format_}"' in answer.headers["content-disposition"]
-    starts = {"csv": b"time", "parquet": b"PAR1", "mat": b"MATLAB 5.0"}
+    starts = {"csv": b"motion_time [s],time [s]", "parquet": b"PAR1", "mat": b"MATLAB 5.0"}
     assert answer.content.startswith(starts[format_])
     assert client.get(f"/api/runs/{name}/export", params={"format": "xls"}).status_code == 422
 
