@@ -26,8 +26,8 @@ value out of its range. `ctr-station keys` prints this page from the models that
 * `ctr-station run FILE.toml` runs an experiment. The panel's tab *Run* lists the experiments in `[experiments] folder`.
   For a file that is not a valid experiment it shows the reason.
 * `ctr-station design FILE.toml` runs a study; [design](design/README.md) describes the results.
-* A preset can be named instead of a file: robots `paper`, `balanced_pair`, `three_tubes`, `nylon`; labs `gentle`,
-  `realistic`, `distorted`, `uncalibrated`, `ideal`.
+* A preset can be named instead of a file: robots `paper`, `balanced_pair`, `three_tubes`, `nylon`,
+  `wpi_kit`; labs `gentle`, `realistic`, `distorted`, `uncalibrated`, `ideal`.
 """
 CASES_TEXT = """
 An experiment's file may also have these tables:
