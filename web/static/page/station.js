@@ -230,11 +230,12 @@ async function fetchStatus() {
 }
 
 /**
- * Return whether the status is current. A stale status is requested once more; if it stays stale, a note reports that
- * nothing is started.
+ * Request the status after a press, because a question may depend on the pose, and return whether it is current. If it
+ * is stale, a note reports that nothing is started.
  */
 export async function ensureFresh() {
-  if (wasStale) await pollStatus();
+  await pending; // its answer may be older than the press
+  await pollStatus();
   if (wasStale) note("Not started: the page has no current data from the robot. Wait for new data, then press again.");
   return !wasStale;
 }
