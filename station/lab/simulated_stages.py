@@ -12,7 +12,7 @@ from station.devices.links.link import Link
 from station.devices.zaber.setup import PortSetup, StageSetup
 from station.devices.zaber.stages import ZaberStages
 from station.devices.zaber_ascii.setup import AsciiSetup, AsciiStageFile
-from station.devices.zaber_ascii.stages import AsciiStages
+from station.devices.zaber_ascii.stages import ascii_stages
 from station.lab.config import StagesKind
 from station.lab.simulated_zaber import Faults, SimulatedChain
 from station.lab.simulated_zaber_ascii import AsciiUnit, SimulatedAsciiChain
@@ -103,7 +103,7 @@ STAGES: Mapping[StagesKind, StagesInLab] = {
     ),
     "zaber_ascii": StagesInLab(
         _ascii,
-        lambda setups, link: AsciiStages([_ascii_setup(s.joint, s.device) for s in setups], link),
+        lambda setups, link: ascii_stages([_ascii_setup(s.joint, s.device) for s in setups], link),
         lambda port, clock: {"driver": "zaber_ascii", "port": port, "deadline": clock.patience},
     ),
 }

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from station.devices.line_stages import AxisLost
 from station.devices.zaber.chain import LEAD_S, REFRESH_S, REPEAT_STOP_S, LineCounts
 from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
 from station.devices.zaber_ascii.protocol import (
@@ -60,12 +61,6 @@ class Answer(NamedTuple):
     data: str = ""
     busy: bool = False
     flag: str = ""
-
-
-class AxisLost(NamedTuple):
-    """Event: an axis no longer answers."""
-
-    axis: int
 
 
 class UnexpectedMotion(NamedTuple):
@@ -156,6 +151,11 @@ class AsciiChain:
         self._request = None
         for identity in [key for key, sent in self._pending.items() if sent.kind == "request"]:
             self._forget(identity)
+
+    def give_up(self) -> None:
+        """Count every axis as lost, because the port is lost."""
+        self.stopping.clear()
+        self.lost |= set(range(len(self.axes)))
 
     # Bytes and time in
 
@@ -337,4 +337,4 @@ class AsciiChain:
         if self._misses[i] >= MAX_MISSES and i not in self.lost:
             self.lost.add(i)
             self.stopping.pop(i, None)
-            events.append(AxisLost(i))
+            events.append(AxisLost(i, f"{MAX_MISSES} replies of a device are missing"))

@@ -1,12 +1,22 @@
 """Connects and homes Zaber ASCII stages by requests, one at a time; the caller runs these sequences."""
 
 import math
-from collections.abc import Generator, Sequence
-from typing import NamedTuple
+from collections.abc import Generator, Mapping, Sequence
+from typing import Any, NamedTuple
 
+from station.devices.line_stages import AxisFault
 from station.devices.zaber.sequences import Homing, HomingStep
-from station.devices.zaber_ascii.chain import Answer, AsciiChain, Request
+from station.devices.zaber_ascii.chain import (
+    DEADLINE_S,
+    Answer,
+    AsciiChain,
+    FlagChanged,
+    Rejected,
+    Request,
+    UnexpectedMotion,
+)
 from station.devices.zaber_ascii.protocol import (
+    EXPECTED,
     FAULTS,
     MICROSTEP_RESOLUTION,
     NOT_HOMED,
@@ -35,8 +45,10 @@ class Identity(NamedTuple):
 class AsciiStagesState:
     """State of all stages; identities and homing states persist when the port is opened again."""
 
-    def __init__(self, setups: Sequence[AsciiSetup], chain: AsciiChain) -> None:
-        self.setups, self.chain = tuple(setups), chain
+    def __init__(self, setups: Sequence[AsciiSetup], deadline: float = DEADLINE_S) -> None:
+        """`deadline` is the longest time from sending a command to its reply [s]."""
+        self.setups, self._deadline = tuple(setups), deadline
+        self.reset()
         self.identities: list[Identity | None] = [None for _ in setups]
         self.homed = [False for _ in setups]
         self.home_again: set[int] = set()  #: stages that must be homed even if their axes report to be homed
@@ -44,24 +56,62 @@ class AsciiStagesState:
         self.now = -math.inf  #: time [s], set by the caller that runs a sequence
         self._homing_start: dict[int, int] = {}  # position at which an unfinished homing started [microsteps]
 
+    def reset(self) -> None:
+        """Start a new session on the chain."""
+        self.line = AsciiChain([setup.on_chain() for setup in self.setups], self._deadline)
+
     def name(self, i: int) -> str:
         """Return the name of a stage, for messages."""
         return f"the stage {self.setups[i].joint.name}"
 
     def count(self, i: int) -> float:
         """Return the estimated position of a stage [microsteps]."""
-        return self.chain.estimates[i].position + self.setups[i].minimum
+        return self.line.estimates[i].position + self.setups[i].minimum
+
+    def fault(self, event: object, connected: bool) -> AxisFault | None:
+        """Return the fault that an event of the chain means; `connected`: no sequence is running."""
+        match event:
+            case UnexpectedMotion(i):
+                return AxisFault(i, "does not move as commanded; was it reset, or moved by another program?", True)
+            case Rejected(i, reason):
+                return AxisFault(i, f"rejects its velocity: {reason_text(reason)}")
+            case FlagChanged(i, flag) if connected and flag in FAULTS:
+                return AxisFault(i, f"reports: {flag_text(flag)}")
+            case FlagChanged(i, flag) if connected and flag in NOT_HOMED and self.homed[i]:
+                return AxisFault(i, "has lost its position; was it switched off and on? Home it again", True)
+        return None
+
+    def warning(self, i: int) -> str:
+        """Return the meaning of an unexpected warning flag; empty without one."""
+        flag = self.line.flags[i]
+        return flag_text(flag) if flag and flag not in EXPECTED and flag not in NOT_HOMED else ""
+
+    def address(self, i: int) -> str:
+        """Return device and axis number of a stage, for the details of messages."""
+        return f"device {self.setups[i].device} axis {self.setups[i].axis}"
+
+    def details(self, i: int) -> Mapping[str, Any]:
+        """Return identity, flag and counters of a stage."""
+        setup, identity = self.setups[i], self.identities[i]
+        return {
+            "device": setup.device,
+            "axis": setup.axis,
+            "identity": None if identity is None else identity._asdict(),
+            "flag": self.line.flags[i],
+            **vars(self.line.counts[i]),
+            "lost_bytes": self.line.reader.dropped,
+        }
 
     def connect(self) -> Script:
         """Identify and set up every stage, then wait for the positions of all homed stages."""
-        self.chain.reader.checked = False
+        self.line.reader.checked = False
         with_checksum = True
         for i in range(len(self.setups)):
             with_checksum &= yield from self._identify(i)
-        self.chain.reader.checked = with_checksum
+        self.line.reader.checked = with_checksum
         for i, setup in enumerate(self.setups):
             yield from self._need(i, "warnings clear")
-            if self.chain.flags[i] in WITHOUT_CURRENT:
+            if self.line.flags[i] in WITHOUT_CURRENT:
                 yield from self._request(i, "driver enable")
             resolution = yield from self._need(i, "get resolution")
             if resolution != str(MICROSTEP_RESOLUTION):
@@ -79,16 +129,16 @@ class AsciiStagesState:
                 yield from self._set(i, setting, value)
             flag = yield from self._flag(i)
             self.homed[i] = flag not in NOT_HOMED and i not in self.home_again
-            self.chain.estimates[i].forget()
-        self.chain.polling = True
+            self.line.estimates[i].forget()
+        self.line.polling = True
         yield from self._settle()
 
     def home(self) -> Script:
         """Home the translations first, then one rotation after the other."""
         give_up = self.now + STOP_TIMEOUT_S
-        while self.chain.stopping:
+        while self.line.stopping:
             if self.now > give_up:
-                raise ZaberAsciiError(f"{self.name(min(self.chain.stopping))} has not confirmed its stop")
+                raise ZaberAsciiError(f"{self.name(min(self.line.stopping))} has not confirmed its stop")
             yield 0.02
         order = sorted(range(len(self.setups)), key=lambda i: self.setups[i].joint.motion != "translation")
         self.homing = Homing([self._homing_step(i) for i in order])
@@ -116,7 +166,7 @@ class AsciiStagesState:
         return (yield from self._request(i, "set comm.checksum 1", whole_device=True)).accepted
 
     def _home_one(self, i: int) -> Script:
-        setup, name, estimate = self.setups[i], self.name(i), self.chain.estimates[i]
+        setup, name, estimate = self.setups[i], self.name(i), self.line.estimates[i]
         self.homed[i] = False
         estimate.forget(adrift=True)
         start = self._homing_start.setdefault(i, int((yield from self._need(i, "get pos"))))
@@ -166,7 +216,7 @@ class AsciiStagesState:
     def _homing_step(self, i: int) -> HomingStep:
         setup, turn = self.setups[i], 2.0 * math.pi
         turns, step = setup.joint.motion == "rotation", setup.joint.microstep
-        exact = self.homed[i] and self.chain.estimates[i].known
+        exact = self.homed[i] and self.line.estimates[i].known
         above = self.count(i) * step if exact else turn if turns else (setup.maximum - setup.minimum) * step
         way = above if above >= 0.0 or not turns else 2.0 * turn + above
         return HomingStep(setup.joint.name, "rad" if turns else "m", abs(way), exact, setup.home_speed)
@@ -174,7 +224,7 @@ class AsciiStagesState:
     def _settle(self) -> Script:
         """Wait for confirmed positions of all homed stages; a position out of range makes its stage not homed."""
         give_up = self.now + 2.0
-        estimates = self.chain.estimates
+        estimates = self.line.estimates
         while moving := [i for i, homed in enumerate(self.homed) if homed and not estimates[i].known]:
             if self.now > give_up:
                 raise ZaberAsciiError(f"{self.name(moving[0])} does not stop: its position changes")

@@ -16,6 +16,7 @@ from station.devices.zaber_ascii.protocol import (
     MAX_ACCELERATION,
     MAX_POSITION,
     MICROSTEP_RESOLUTION,
+    SPEED_FACTOR,
     ZaberAsciiError,
     speed_data,
 )
@@ -96,6 +97,11 @@ class AsciiSetup:
     def step(self) -> float:
         """Change of the joint's position per microstep [rad or m]."""
         return -self.joint.microstep if self.backwards else self.joint.microstep
+
+    @property
+    def speed_scale(self) -> float:
+        """Speed data of a velocity command per joint velocity [speed data per rad/s or m/s]."""
+        return SPEED_FACTOR / self.step
 
     @property
     def minimum(self) -> int:

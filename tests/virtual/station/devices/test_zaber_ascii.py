@@ -30,7 +30,7 @@ def test_stall_is_a_fault_with_the_makers_meaning(bench):
     fault = bench.stages.trouble(bench.now)
     assert fault is not None
     assert fault.severity is Severity.FAULT
-    assert fault.text == "the stage inner_rotation: the motor stalled and has stopped (flag FS)"
+    assert fault.text == "the stage inner_rotation reports: the motor stalled and has stopped (flag FS)"
     assert fault.details == "inner_rotation: device 2 axis 1 on zaber_ascii"
     assert bench.speeds().tolist() == [0.0, 0.0, 0.0]
 
