@@ -18,6 +18,8 @@ from station.config.strict import ConfigError
 from station.devices.ati.netft import netft
 from station.devices.ati.nidaq import nidaq
 from station.devices.aurora.tracker import aurora
+from station.devices.cia402.emergency_stop import cia402_emergency_stop
+from station.devices.cia402.stages import cia402
 from station.devices.config import BenchFile
 from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
@@ -35,7 +37,7 @@ Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
-    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii},
+    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii, "cia402": cia402},
     "tracker": {"aurora": aurora},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
@@ -43,6 +45,7 @@ BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
 EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {
     "zaber": zaber_emergency_stop,
     "zaber_ascii": zaber_ascii_emergency_stop,
+    "cia402": cia402_emergency_stop,
 }
 
 

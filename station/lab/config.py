@@ -177,7 +177,7 @@ class TargetConfig(Strict):
 
 
 #: Simulated stages, by the name of their driver.
-StagesKind = Literal["zaber", "zaber_ascii"]
+StagesKind = Literal["zaber", "zaber_ascii", "cia402"]
 #: Kinds of devices that a bench does not have.
 Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
 

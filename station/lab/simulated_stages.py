@@ -7,6 +7,8 @@ import numpy as np
 
 from station.config.robots import JointFile
 from station.control.clock import StationClock
+from station.devices.cia402.setup import DriveFile, DriveSetup
+from station.devices.cia402.stages import cia402_stages
 from station.devices.interfaces import Stages
 from station.devices.links.link import Link
 from station.devices.zaber.setup import PortSetup, StageSetup
@@ -14,6 +16,7 @@ from station.devices.zaber.stages import ZaberStages
 from station.devices.zaber_ascii.setup import AsciiSetup, AsciiStageFile
 from station.devices.zaber_ascii.stages import ascii_stages
 from station.lab.config import StagesKind
+from station.lab.simulated_cia402 import SimulatedCanBus, SimulatedDrive
 from station.lab.simulated_zaber import Faults, SimulatedChain
 from station.lab.simulated_zaber_ascii import AsciiUnit, SimulatedAsciiChain
 from station.lab.zaber_unit import Unit, UnitKind
@@ -95,6 +98,10 @@ def _ascii_setup(joint: JointFile, device: int) -> AsciiSetup:
     return AsciiSetup.of(joint, AsciiStageFile(device=device))
 
 
+def _cia402(setups: Sequence[StageSetup], true_positions: Sequence[float], homed: bool, seed: int) -> SimulatedStages:
+    return SimulatedCanBus([SimulatedDrive(s, at, homed) for s, at in zip(setups, true_positions, strict=True)], seed)
+
+
 STAGES: Mapping[StagesKind, StagesInLab] = {
     "zaber": StagesInLab(
         _zaber,
@@ -105,5 +112,10 @@ STAGES: Mapping[StagesKind, StagesInLab] = {
         _ascii,
         lambda setups, link: ascii_stages([_ascii_setup(s.joint, s.device) for s in setups], link),
         lambda port, clock: {"driver": "zaber_ascii", "port": port, "deadline": clock.patience},
+    ),
+    "cia402": StagesInLab(
+        _cia402,
+        lambda setups, link: cia402_stages([DriveSetup.of(s.joint, DriveFile(node=s.device)) for s in setups], link),
+        lambda port, clock: {"driver": "cia402", "port": port, "deadline": clock.patience},
     ),
 }

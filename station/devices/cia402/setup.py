@@ -1,0 +1,156 @@
+"""Configuration of CANopen drives: their options in the station file, and the conversion of their encoder counts."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from station.config.robots import JointFile
+from station.config.strict import Name, Positive, Strict
+from station.devices.cia402.protocol import HOST_NODE, CanError
+from station.devices.config import Serial
+
+DEADLINE_S = 0.030  #: default of the longest silence of a drive [s]
+MAX_COUNT = 2**31 - 1  #: largest value of a position or velocity in a drive
+#: Makes of drives. They differ in the unit of a velocity: counts per second, thousandths of a motor turn per minute
+#: (EPOS4 with object 0x60A9 = 0xFDB44700), motor turns per minute (Faulhaber, as delivered).
+Make = Literal["generic", "epos4", "faulhaber"]
+#: Units of a velocity per motor turn and second.
+UNITS_PER_TURN: Mapping[Make, float] = {"epos4": 60_000.0, "faulhaber": 60.0}
+
+
+class DriveFile(Strict):
+    """One drive on the bus."""
+
+    node: Annotated[int, Field(ge=1, lt=HOST_NODE)]
+    """node number of the drive"""
+    make: Make = "generic"
+    """make of the drive, which sets its unit of velocity: `generic` counts per second, `epos4`, `faulhaber`"""
+    counts_per_turn: Positive | None = None
+    """encoder counts per turn of the motor; required for `epos4` and `faulhaber`"""
+    home_at: float | None = None
+    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
+    travel at which the drive counts 0"""
+    backwards: bool = False
+    """whether the drive's count increases when the joint's position decreases"""
+    home_speed: Positive | None = None
+    """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
+    homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
+    """method of homing, object 0x6098; default: 17 (negative limit switch) for a translation, 21 (home switch, negative
+    direction) for a rotation"""
+    serial: Annotated[int, Field(ge=0)] | None = None
+    """serial number that the drive must report"""
+
+
+class Cia402File(Strict):
+    """CANopen drives with the profile CiA 402 on one bus, by a serial CAN adapter (slcan)."""
+
+    port: Serial
+    """port of the adapter"""
+    joints: Mapping[Name, DriveFile] = {}
+    """the drive of each joint; default: nodes 1, 2, ... in the order of the robot's joints"""
+    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
+    """longest silence of a drive before it counts as lost [s]; the drives stop after a silence of the station that is
+    0.07 s longer"""
+
+
+@dataclass(frozen=True)
+class DriveSetup:
+    """One drive: the joint that it moves, and the conversion of its counts. `joint.microstep` is one count."""
+
+    joint: JointFile
+    node: int
+    home_at: float  #: joint position at the home sensor [rad or m]
+    home_speed: float  #: speed of homing [rad/s or m/s]
+    homing_method: int
+    make: Make = "generic"
+    velocity_unit: float = 1.0  #: counts per second of one unit of velocity
+    backwards: bool = False  #: whether the drive's count increases when the joint's position decreases
+    serial: int | None = None  #: expected serial number; None: any
+
+    @classmethod
+    def of(cls, joint: JointFile, file: DriveFile) -> "DriveSetup":
+        """Return the setup of a joint.
+
+        Raises:
+            CanError: the sensor of a translation is inside the travel, a value is out of its range, or the counts per
+                turn are missing.
+        """
+        turns = joint.motion == "rotation"
+        start = joint.upper if file.backwards else joint.lower
+        home_at = (0.0 if turns else start) if file.home_at is None else file.home_at
+        unit = 1.0
+        if file.make != "generic":
+            if file.counts_per_turn is None:
+                raise CanError(f"{joint.name}: counts_per_turn is missing; a drive of make '{file.make}' needs it")
+            unit = file.counts_per_turn / UNITS_PER_TURN[file.make]
+        setup = cls(
+            joint, file.node, home_at, 0.25 * joint.speed if file.home_speed is None else file.home_speed,
+            (21 if turns else 17) if file.homing_method is None else file.homing_method,
+            file.make, unit, file.backwards, file.serial,
+        )  # fmt: skip
+        if not turns and setup.minimum < 0:
+            raise CanError(
+                f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
+                "a stage cannot move beyond its home sensor: change home_at or the joint's limits"
+            )
+        for what, value, least in (
+            ("lower end of the travel", setup.minimum, -MAX_COUNT),
+            ("upper end of the travel", setup.maximum, -MAX_COUNT),
+            ("speed", setup.top, 1),
+            ("home_speed", setup.units(setup.home_speed), 1),
+            ("acceleration", setup.acceleration, 1),
+        ):
+            if not least <= value <= MAX_COUNT:
+                raise CanError(f"{joint.name}: {what} of {value} units is outside {least} ... {MAX_COUNT}")
+        return setup
+
+    @property
+    def step(self) -> float:
+        """Change of the joint's position per count [rad or m]."""
+        return -self.joint.microstep if self.backwards else self.joint.microstep
+
+    @property
+    def speed_scale(self) -> float:
+        """Velocity units of the drive per joint velocity [unit per rad/s or m/s]."""
+        return 1.0 / (self.step * self.velocity_unit)
+
+    @property
+    def minimum(self) -> int:
+        """Lower software limit: the first whole count inside the joint's travel."""
+        return math.ceil(min(self._ends) - 1e-6)
+
+    @property
+    def maximum(self) -> int:
+        """Upper software limit: the last whole count inside the joint's travel."""
+        return math.floor(max(self._ends) + 1e-6)
+
+    @property
+    def top(self) -> int:
+        """Largest speed that the host sends [velocity unit]."""
+        return self.units(self.joint.speed)
+
+    @property
+    def acceleration(self) -> int:
+        """Acceleration and deceleration, at least those that braking distances assume [velocity unit/s]."""
+        return math.ceil(self.joint.acceleration * abs(self.speed_scale))
+
+    @property
+    def turn(self) -> int:
+        """One turn of a rotation stage [counts]."""
+        return round(2.0 * math.pi / self.joint.microstep)
+
+    def units(self, speed: float) -> int:
+        """Return a speed [rad/s or m/s] in the drive's unit."""
+        return round(speed * abs(self.speed_scale))
+
+    def position(self, counts: float, /) -> float:
+        """Return the joint position at a count of the drive [rad or m]."""
+        return self.home_at + self.step * counts
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """Ends of the joint's travel [counts]."""
+        return (self.joint.lower - self.home_at) / self.step, (self.joint.upper - self.home_at) / self.step
