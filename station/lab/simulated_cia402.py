@@ -69,6 +69,7 @@ class SimulatedDrive:
         """
         linear = setup.joint.motion == "translation"
         self.node, self.silent_until = setup.device, -math.inf
+        self.serial = FIRST_SERIAL_NUMBER + setup.device
         self._turn = None if linear else round(2.0 * math.pi / setup.joint.microstep)
         lower, upper = (-STOPS, setup.maximum + STOPS) if linear else (-math.inf, math.inf)
         self.motor = Motor(true_position, true_position if homed else 0.0, lower, upper)
@@ -103,7 +104,7 @@ class SimulatedDrive:
             self.silent_until = -math.inf
             return [Frame(HEARTBEAT + self.node, bytes([BOOT_UP]))]
         if moving and self.motor.stalled:
-            return self._fail(0x8611)
+            return self.fail(0x8611)
         if not self.motor.moving:
             self._positioning = False
             if self._homing:
@@ -175,7 +176,7 @@ class SimulatedDrive:
             (0x1018, 1): (VENDOR_ID, 4),
             (0x1018, 2): (402, 4),
             (0x1018, 3): (1, 4),
-            (0x1018, 4): (FIRST_SERIAL_NUMBER + self.node, 4),
+            (0x1018, 4): (self.serial, 4),
             (0x603F, 0): (self.error, 2),
             (0x6041, 0): (self.statusword, 2),
             (0x6061, 0): (self.values[0x6060, 0], 1),
@@ -289,16 +290,12 @@ class SimulatedDrive:
         if self.state == ENABLED:
             self.state = STOPPED
 
-    def _fail(self, code: int) -> list[Frame]:
-        """Enter the state "fault"."""
+    def fail(self, code: int) -> list[Frame]:
+        """Enter the state "fault" with an error, and return the frame that reports it."""
         self.motor.halt()
         self._homing = self._positioning = False
         self.state = FAULT
         return [self._emergency(code)]
-
-    def fail(self, code: int) -> None:
-        """Let the drive report an error at its next frame, for tests: it stops and enters the state "fault"."""
-        self._fail(code)
 
     def _emergency(self, code: int) -> Frame:
         self.error = code
@@ -335,6 +332,11 @@ class SimulatedCanBus:
     def power_cycle(self, slot: int) -> None:
         """Switch one drive off and on."""
         self.units[slot - 1].switch_off_and_on()
+
+    def fail(self, slot: int, code: int) -> None:
+        """Let a drive stop with an error, which it reports."""
+        for frame in self.units[slot - 1].fail(code):
+            self._put(slot, frame, self.units[slot - 1].motor.time)
 
     def receive(self, data: bytes, now: float) -> None:
         """Receive the bytes that the host has written until `now` [s]."""

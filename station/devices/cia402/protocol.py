@@ -99,7 +99,7 @@ def encode(frame: Frame) -> bytes:
     return b"t%03X%d%s\r" % (frame.identifier, len(frame.data), frame.data.hex().upper().encode("ascii"))
 
 
-_FRAME = re.compile(rb"t([0-7][0-9A-F]{2})([0-8])((?:[0-9A-F]{2})*)", re.IGNORECASE)
+_FRAME = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2})*)")
 
 
 def decode(line: bytes) -> Frame | None:

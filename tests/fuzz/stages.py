@@ -1,4 +1,4 @@
-"""Fuzzes both sides of the Zaber ASCII protocol: `python -m tests.fuzz.zaber_ascii CASES SEED`.
+"""Fuzzes both sides of a protocol of stages: `python -m tests.fuzz.stages KIND CASES SEED`.
 
 The driver runs on simulated devices while bytes of both directions are damaged, inserted or lost. It must raise
 nothing, and a position that it reports as known must be true.
@@ -6,11 +6,13 @@ nothing, and a position that it reports as known must be true.
 
 import random
 import sys
+from typing import cast
 
 import numpy as np
 
 from station.config.robots import load_robot
 from station.devices.interfaces import Condition
+from station.lab.config import StagesKind
 from station.lab.simulated_zaber import Faults
 from tests.harness.stages_bench import StagesBench, swing
 
@@ -18,11 +20,11 @@ from tests.harness.stages_bench import StagesBench, swing
 TOLERANCE = np.array([0.05, 0.05, 0.003])
 
 
-def fuzz(cases: int, seed: int) -> dict[str, int]:
+def fuzz(kind: StagesKind, cases: int, seed: int) -> dict[str, int]:
     """Run `cases` of 0.3 s with damaged bytes, each followed by a recovery; return the counts."""
     source, robot = random.Random(seed), load_robot("paper")
     result = {"cases": 0, "exceptions": 0, "hangs": 0, "false_accepts": 0}
-    bench = StagesBench(robot, "zaber_ascii", seed=seed).connect()
+    bench = StagesBench(robot, kind, seed=seed).connect()
     for case in range(cases):
         result["cases"] += 1
         try:
@@ -38,14 +40,14 @@ def fuzz(cases: int, seed: int) -> dict[str, int]:
             bench.connect()
             result["hangs"] += bench.stages.condition is not Condition.CONNECTED
             if not bench.stages.ready:  # a lost stage must be homed again
-                bench = StagesBench(robot, "zaber_ascii", seed=seed + case).connect()
+                bench = StagesBench(robot, kind, seed=seed + case).connect()
         except Exception as error:  # any exception is a finding of the fuzzer
             sys.stderr.write(f"case {case} of seed {seed}: {error!r}\n")
             result["exceptions"] += 1
-            bench = StagesBench(robot, "zaber_ascii", seed=seed + case).connect()
+            bench = StagesBench(robot, kind, seed=seed + case).connect()
     return result
 
 
 if __name__ == "__main__":
-    cases, seed = [int(word) for word in sys.argv[1:3]] + [1000, 1][len(sys.argv) - 1 :]
-    sys.stdout.write(f"{fuzz(cases, seed)}\n")
+    kind, cases, seed = sys.argv[1:4]
+    sys.stdout.write(f"{fuzz(cast(StagesKind, kind), int(cases), int(seed))}\n")
