@@ -18,6 +18,7 @@ from core.errors import CtrError
 from station.cli import (
     bench,
     calibrate,
+    check_driver,
     config_reference,
     design,
     export,
@@ -101,6 +102,7 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
 
     bench.add(commands)
     calibrate.add(commands)
+    check_driver.add(commands)
     design.add(commands)
     export.add(commands)
     config_reference.add(commands)

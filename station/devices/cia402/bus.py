@@ -34,7 +34,7 @@ from station.devices.cia402.protocol import (
     upload,
 )
 from station.devices.cia402.setup import DEADLINE_S, DriveSetup
-from station.devices.line_stages import AxisLost
+from station.devices.stages_on_line import AxisLost
 from station.devices.zaber.chain import LineCounts
 from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
 

@@ -49,7 +49,7 @@ from station.devices.cia402.protocol import (
     text,
 )
 from station.devices.cia402.setup import DriveSetup
-from station.devices.line_stages import AxisFault
+from station.devices.stages_on_line import AxisFault
 from station.devices.zaber.sequences import Homing, HomingStep
 
 MAX_ATTEMPTS = 4  #: largest number of times that a request without an answer is sent

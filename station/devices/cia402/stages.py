@@ -10,17 +10,17 @@ from station.devices.cia402.bus import DEADLINE_S, Answer, Request
 from station.devices.cia402.sequences import DrivesState
 from station.devices.cia402.setup import Cia402File, DriveFile, DriveSetup
 from station.devices.config import in_order
-from station.devices.line_stages import LineStages
 from station.devices.links.link import Link, SerialLink
+from station.devices.stages_on_line import StagesOnLine
 
 BAUD = 1_000_000  #: of adapters with a real serial port; those with USB ignore it [bit/s]
 
 
 def cia402_stages(
     setups: Sequence[DriveSetup], link: Link, deadline: float = DEADLINE_S
-) -> LineStages[Request, Answer]:
+) -> StagesOnLine[Request, Answer]:
     """Return the driver of the drives on a bus."""
-    return LineStages(DrivesState(setups, deadline), link, Answer)
+    return StagesOnLine(DrivesState(setups, deadline), link, Answer)
 
 
 def drive_setups(file: Cia402File, robot: RobotFile, key: str) -> list[DriveSetup]:
@@ -48,7 +48,7 @@ def drive_setups(file: Cia402File, robot: RobotFile, key: str) -> list[DriveSetu
         raise ConfigError(f"{key}.joints.{error}") from None
 
 
-def cia402(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], LineStages[Request, Answer]]:
+def cia402(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StagesOnLine[Request, Answer]]:
     """Return the opener of CANopen drives; raises ConfigError."""
     key = "devices.stages"
     file = check(Cia402File, options, key)

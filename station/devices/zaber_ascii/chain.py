@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from station.devices.line_stages import AxisLost
+from station.devices.stages_on_line import AxisLost
 from station.devices.zaber.chain import LEAD_S, REFRESH_S, REPEAT_STOP_S, LineCounts
 from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
 from station.devices.zaber_ascii.protocol import (

@@ -4,7 +4,7 @@ import math
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from station.devices.line_stages import AxisFault
+from station.devices.stages_on_line import AxisFault
 from station.devices.zaber.sequences import Homing, HomingStep
 from station.devices.zaber_ascii.chain import (
     DEADLINE_S,

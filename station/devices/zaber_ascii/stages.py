@@ -7,17 +7,19 @@ from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, check
 from station.devices.config import in_order
-from station.devices.line_stages import LineStages
 from station.devices.links.link import Link, SerialLink
+from station.devices.stages_on_line import StagesOnLine
 from station.devices.zaber_ascii.chain import DEADLINE_S, Answer, Request
 from station.devices.zaber_ascii.protocol import BAUD
 from station.devices.zaber_ascii.sequences import AsciiStagesState
 from station.devices.zaber_ascii.setup import AsciiFile, AsciiSetup, AsciiStageFile
 
 
-def ascii_stages(setups: Sequence[AsciiSetup], link: Link, deadline: float = DEADLINE_S) -> LineStages[Request, Answer]:
+def ascii_stages(
+    setups: Sequence[AsciiSetup], link: Link, deadline: float = DEADLINE_S
+) -> StagesOnLine[Request, Answer]:
     """Return the driver of Zaber ASCII stages on a chain."""
-    return LineStages(AsciiStagesState(setups, deadline), link, Answer)
+    return StagesOnLine(AsciiStagesState(setups, deadline), link, Answer)
 
 
 def stage_files(file: AsciiFile, robot: RobotFile, key: str) -> list[AsciiStageFile]:
@@ -39,7 +41,7 @@ def stage_files(file: AsciiFile, robot: RobotFile, key: str) -> list[AsciiStageF
     return stages
 
 
-def zaber_ascii(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], LineStages[Request, Answer]]:
+def zaber_ascii(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StagesOnLine[Request, Answer]]:
     """Return the opener of Zaber stages with the ASCII protocol; raises ConfigError."""
     key = "devices.stages"
     file = check(AsciiFile, options, key)

@@ -175,7 +175,7 @@ class AxesOnLine(Protocol[Request, AnswerIn]):
         ...
 
 
-class LineStages(Generic[Request, Answer]):
+class StagesOnLine(Generic[Request, Answer]):
     """`Stages` on one line. `poll`, `command` and `stop` never raise: `trouble` reports faults."""
 
     def __init__(self, state: AxesOnLine[Request, Answer], link: Link, answer: type[Answer]) -> None:
