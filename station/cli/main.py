@@ -157,8 +157,8 @@ def execute(top: CommandParser, commands: Container[str], arguments: Sequence[st
     except KeyboardInterrupt:
         return _interrupted()
     except SystemError as error:
-        # Ctrl-C inside compiled code raises this error instead of KeyboardInterrupt.
-        if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+        # Ctrl-C inside compiled code raises this error instead of KeyboardInterrupt, sometimes several times in a row.
+        if _caused_by_interrupt(error):
             return _interrupted()
         raise
     except BrokenPipeError:
@@ -170,6 +170,18 @@ def execute(top: CommandParser, commands: Container[str], arguments: Sequence[st
             raise
         sys.stderr.write(f"ctr-station: {' '.join(str(error.filename).split())[:MAX_PATH_CHARS]}: {error.strerror}\n")
         return 2
+
+
+def _caused_by_interrupt(error: BaseException) -> bool:
+    """Return whether a KeyboardInterrupt is among the causes of an error."""
+    checked, errors = set[int](), [error]
+    while errors:
+        one = errors.pop()
+        if isinstance(one, KeyboardInterrupt):
+            return True
+        checked.add(id(one))
+        errors += [each for each in (one.__cause__, one.__context__) if each is not None and id(each) not in checked]
+    return False
 
 
 def _interrupted() -> int:
