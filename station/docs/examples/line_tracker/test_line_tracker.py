@@ -2,11 +2,14 @@
 
 import math
 import socket
+import threading
 import time
 
 import pytest
 
 from station.config.robots import load_robot
+from station.control.clock import REAL_TIME_CLOCK
+from station.devices.driver_check import check_tracker
 from station.devices.interfaces import Condition, Severity, TipReading
 from station.devices.registry import find
 
@@ -50,3 +53,25 @@ def test_a_late_line_gets_the_time_of_its_measurement_and_the_mount_turns_its_po
         assert late.time - first.time == pytest.approx(0.025, abs=1e-3)
         assert late.position == pytest.approx([0.0, 0.010, 0.1])
         tracker.close()
+
+
+def test_the_driver_keeps_the_contract_of_the_control_loop():
+    over = threading.Event()
+
+    def send(server: socket.socket) -> None:
+        with server.accept()[0] as device:
+            number = 0
+            while not over.wait(0.025):
+                number += 1
+                device.sendall(f"{number} 10.0 -20.0 150.5\n".encode())
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
+        sender = threading.Thread(target=send, args=(server,))
+        sender.start()
+        try:
+            opens = find("tracker", "line-tracker")(options, load_robot("paper"))
+            assert [finding for finding in check_tracker(opens, REAL_TIME_CLOCK) if not finding.good] == []
+        finally:
+            over.set()
+            sender.join()
