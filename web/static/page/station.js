@@ -199,6 +199,7 @@ export function confirm(title, action, ...content) {
 const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000;
 /** Age of the status [s] from which the page sends no command but STOP, reports the silence, and considers the station lost. */
 export const STALE_AFTER_S = 0.48, SILENT_AFTER_S = 1, LOST_AFTER_S = 4;
+const FRESH_WITHIN_S = 3; // a press waits at most this long for current data
 const listeners = [];
 let status = null, receivedAt = 0, pending = null, wasStale = null;
 
@@ -230,12 +231,13 @@ async function fetchStatus() {
 }
 
 /**
- * Request the status after a press, because a question may depend on the pose, and return whether it is current. If it
- * is stale, a note reports that nothing is started.
+ * Request the status after a press, because a question may depend on the pose, and return whether it is current. A busy
+ * computer gets some time; if the status stays stale, a note reports that nothing is started.
  */
 export async function ensureFresh() {
+  const end = performance.now() + 1000 * FRESH_WITHIN_S;
   await pending; // its answer may be older than the press
-  await pollStatus();
+  do await pollStatus(); while (wasStale && performance.now() < end);
   if (wasStale) note("Not started: the page has no current data from the robot. Wait for new data, then press again.");
   return !wasStale;
 }
