@@ -267,6 +267,12 @@ class Runs:
         with self._lock:
             self._prepared = self.current = None
 
+    def present(self, number: int) -> RunRequest | None:
+        """Return the prepared run if the control process executes it already (`number`), and else the present run."""
+        with self._lock:
+            prepared = self._prepared
+            return prepared if prepared is not None and prepared.number == number else self.current
+
     def find(self, number: int) -> StartRequest | None:
         """Return the start request of the newest or present run if this run has the number; otherwise None."""
         with self._lock:

@@ -69,6 +69,11 @@ class StateMonitor:
             return self.reported if self.reported in STATION_STATES else State(int(self._ring.counters[STATE]))
 
     @property
+    def run_number(self) -> int:
+        """Number of the run that the control process executes or executed last; 0 before the first run."""
+        return int(self._ring.counters[RUN])
+
+    @property
     def full_cause(self) -> str:
         """Cause of the state that was reported last, with its details, for the terminal, the log and recordings."""
         return with_details(self.cause, self.details)

@@ -123,7 +123,12 @@ class Supervisor:
     def status(self) -> StationStatus:
         """Return the status of the station: state, run, devices, timing and newest telemetry."""
         warnings = (*self.bench.warnings, *self._processes.warnings)
-        return self._state.snapshot(self._runs.current, self._runs.recording, self._reserved, warnings)
+        while True:  # once more if a run starts meanwhile, because its state must not be shown with the run before it
+            number = self._state.run_number
+            run = self._runs.present(number)
+            status = self._state.snapshot(run, self._runs.recording, self._reserved, warnings)
+            if number == self._state.run_number:
+                return status
 
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
