@@ -216,7 +216,7 @@ function cursor() {
 
 function play(on) {
   playing = on;
-  if (on && frame >= shown.frames - 1) frame = 0;
+  if (on && frame >= shown.frames - 1) go(0);
   id("play").textContent = on ? "Pause" : "Play";
   last = performance.now();
   if (on) requestAnimationFrame(tick);

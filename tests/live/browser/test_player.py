@@ -54,6 +54,7 @@ def player(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 @pytest.fixture
 def at_start(player: Page) -> Page:
+    player.evaluate("() => play(false)")
     player.locator("#case").select_option("one")
     player.keyboard.press("Home")
     return player

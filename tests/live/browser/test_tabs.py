@@ -300,11 +300,9 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
     page.locator("#faults").get_by_label("duration [s]").fill("1.5")
     page.get_by_role("button", name="Inject").click()
     page.locator("#state", has_text="HOLD").wait_for()
-    light = page.locator("#lights li", has_text="tracker").locator(".light")
     assert "What to do" in page.locator("#faults").inner_text()
     picture(page, "faults")
-    page.locator("#lights li[title*='tracker: connected, nothing is wrong']").wait_for()
-    assert light.get_attribute("data-severity") == "0"
+    page.locator("#lights li[title*='tracker: connected, nothing is wrong'] .light[data-severity='0']").wait_for()
     page.locator("#faults").get_by_role("button", name="Reset").click()
     page.locator("#state", has_text="READY").wait_for()
     page.locator("#faults td", has_text="lose_tool").first.wait_for()
