@@ -43,7 +43,7 @@ CALIBRATIONS_TEXT = """
 above. The key `calibration` of a station or an experiment names the folder.
 """
 DEVICES_TEXT = """
-The options of each driver in `[devices]` are described in [devices](devices/README.md).
+The sections *Driver* list the options of each built-in driver; [devices](devices/README.md) has an example of a bench.
 """
 
 Schema = Mapping[str, Any]
@@ -65,6 +65,12 @@ def reference_page() -> str:
     from station.config.robots import RobotFile
     from station.control.bench_calibration import RegistrationFile, SensorsFile
     from station.design.study import StudyFile
+    from station.devices.ati.netft import NetftFile
+    from station.devices.ati.nidaq import NidaqFile
+    from station.devices.aurora.tracker import AuroraFile
+    from station.devices.cia402.setup import Cia402File
+    from station.devices.zaber.setup import ZaberFile
+    from station.devices.zaber_ascii.setup import AsciiFile
     from station.experiments.experiment import CaseFile
     from station.lab.config import LabConfig
     from station.service.station_file import StationFile
@@ -74,6 +80,12 @@ def reference_page() -> str:
     for title, model, more in (
         ("Robot", RobotFile, ""),
         ("Station", StationFile, DEVICES_TEXT),
+        ("Driver zaber", ZaberFile, ""),
+        ("Driver zaber_ascii", AsciiFile, ""),
+        ("Driver cia402", Cia402File, ""),
+        ("Driver aurora", AuroraFile, ""),
+        ("Driver netft", NetftFile, ""),
+        ("Driver nidaq", NidaqFile, ""),
         ("Virtual lab", LabConfig, ""),
         ("Experiment", CaseFile, CASES_TEXT),
         ("Calibration: registration.toml", RegistrationFile, CALIBRATIONS_TEXT),
@@ -128,7 +140,7 @@ def _value(field: Schema) -> str:
         case "array":
             return f"list of {_value(field['items'])}"
         case "object":
-            of = field.get("additionalProperties")
+            of = next(iter(field.get("patternProperties", {}).values()), field.get("additionalProperties"))
             return f"table by name of {_value(of)}" if isinstance(of, Mapping) and of else "table"
         case "integer":
             return "whole number" + _range(field)

@@ -114,6 +114,7 @@ class NetftFile(NetftSettings):
     """ATI Net F/T boxes, one for each tube."""
 
     tubes: Mapping[Name, ForceBoxFile]
+    """box of the sensor at each tube, by the name of the tube"""
 
 
 class Datagrams(Protocol):

@@ -298,6 +298,7 @@ class NidaqFile(Strict):
     """ATI sensors on NI cards, one for each tube."""
 
     tubes: Mapping[Name, CardFile]
+    """inputs of the sensor at each tube, by the name of the tube"""
     rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
     """sampling rate of each input [1/s]"""
     stale_after: Positive = 0.05

@@ -225,7 +225,7 @@ class AuroraFile(Strict):
     mount: Mount = Mount()
     """pose of the field generator in the world, from a registration"""
     coil_to_tip: float = 0.0
-    """distance from the coil to the robot's tip along the coil's axis [m]"""
+    """distance from the coil to the robot's tip along the coil's axis, any number [m]"""
 
 
 def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraTracker]:  # noqa: ARG001

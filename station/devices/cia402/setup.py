@@ -29,10 +29,10 @@ class DriveFile(Strict):
     make: Make = "generic"
     """make of the drive, which sets its unit of velocity: `generic` counts per second, `epos4`, `faulhaber`"""
     counts_per_turn: Positive | None = None
-    """encoder counts per turn of the motor; required for `epos4` and `faulhaber`"""
+    """encoder counts per turn of the motor [counts]; required for `epos4` and `faulhaber`"""
     home_at: float | None = None
-    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
-    travel at which the drive counts 0"""
+    """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
+    of the travel at which the drive counts 0"""
     backwards: bool = False
     """whether the drive's count increases when the joint's position decreases"""
     home_speed: Positive | None = None

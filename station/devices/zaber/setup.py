@@ -31,8 +31,8 @@ class StageFile(Strict):
     device: Annotated[int, Field(ge=1, le=254)]
     """device number of the unit on the chain"""
     home_at: float | None = None
-    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
-    travel at which the unit counts 0"""
+    """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
+    of the travel at which the unit counts 0"""
     backwards: bool = False
     """whether the unit's count increases when the joint's position decreases"""
     home_speed: Positive | None = None

@@ -30,8 +30,8 @@ class AsciiStageFile(Strict):
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     """number of the axis on its device"""
     home_at: float | None = None
-    """joint position at the home sensor [rad or m]; default: 0 for a rotation, and for a translation the end of the
-    travel at which the axis counts 0"""
+    """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
+    of the travel at which the axis counts 0"""
     backwards: bool = False
     """whether the axis's count increases when the joint's position decreases"""
     home_speed: Positive | None = None

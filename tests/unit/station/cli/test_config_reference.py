@@ -12,6 +12,7 @@ from station.config.robots import RobotFile, named_pose
 from station.config.strict import EXPERIMENTS_VARIABLE, preset_names
 from station.control.bench_calibration import RegistrationFile, SensorsFile
 from station.design.study import StudyFile
+from station.devices.registry import BUILT_IN_DRIVERS
 from station.experiments.experiment import CaseFile, load_experiment
 from station.lab.config import LabConfig
 from station.service.feasibility import check_path, goto_working_pose
@@ -33,6 +34,12 @@ def test_reference_page_has_every_key_of_every_file(model):
     text = config_reference.reference_page()
     for key in model.model_fields:
         assert f"| `{key}` |" in text
+
+
+def test_reference_page_has_the_options_of_every_built_in_driver():
+    text = config_reference.reference_page()
+    names = [name for drivers in BUILT_IN_DRIVERS.values() for name in drivers]
+    assert [name for name in names if f"\n## Driver {name}\n" not in text] == []
 
 
 def rows() -> list[tuple[str, str, str]]:
