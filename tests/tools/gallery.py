@@ -6,6 +6,7 @@ need Chromium. All pages open without a server and load nothing from a network. 
 which takes minutes; the files are large and do not belong into the repository.
 """
 
+import argparse
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ from html import escape
 from pathlib import Path
 
 from station.config.strict import preset_names
+from station.experiments.experiment import load_experiment
 from station.recording.history import resolve_run
 from station.report.page import write_report
 from station.report.player import write_player
@@ -25,7 +27,7 @@ section {{ margin-block: 2rem; }} img {{ max-width: 100%; background: white; bor
 <section><h2>Browser panel</h2><img alt="the panel with the light theme" src="panel/run.png">
 <img alt="the panel with the dark theme" src="panel/dark.png"></section>{sections}</html>
 """
-SECTION = """<section><h2>{name}</h2><p><a href="{name}/replay.html">3D replay</a> ·
+SECTION = """<section><h2>{title}</h2><p><code>{name}</code> · <a href="{name}/replay.html">3D replay</a> ·
 <a href="{name}/report.html">report</a></p><img alt="{name}: first figure of the report" src="{figure}"></section>
 """
 
@@ -39,7 +41,8 @@ def exhibit(name: str, out: Path) -> str:
     write_report(run, folder)
     write_player(run, folder / "replay.html", lambda done: None)
     figure = sorted(folder.glob("*.png"))[0]
-    return SECTION.format(name=escape(name), figure=figure.relative_to(out).as_posix())
+    title = load_experiment(name).title or name
+    return SECTION.format(name=escape(name), title=escape(title), figure=figure.relative_to(out).as_posix())
 
 
 def panel(out: Path) -> None:
@@ -59,5 +62,11 @@ def gallery(out: Path, names: Iterable[str]) -> Path:
 
 
 if __name__ == "__main__":
-    folder, *named = sys.argv[1:]
-    sys.stdout.write(f"{gallery(Path(folder).absolute(), named or preset_names('experiments'))}\n")
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.gallery", description="Make the gallery.")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder of the gallery")
+    parser.add_argument(
+        "names", nargs="*", metavar="EXPERIMENT", choices=[[], *preset_names("experiments")],
+        help="experiment to show; default: every preset experiment",
+    )  # fmt: skip
+    given = parser.parse_args()
+    sys.stdout.write(f"{gallery(given.folder.absolute(), given.names or preset_names('experiments'))}\n")
