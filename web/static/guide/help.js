@@ -12,8 +12,9 @@ const STATES = [
 ];
 const KEYS = [
   ["Shift+Space", "STOP, wherever the focus is"],
-  ["Escape", "closes an open question; otherwise STOP while something moves; otherwise closes this help"],
-  ["Ctrl+K", "all actions, by name"],
+  ["Escape, moving", "STOP; an open question is closed instead, so use Shift+Space there"],
+  ["Escape, at rest", "closes what is open: a question, this help, the list of actions or the tour"],
+  ["Ctrl+K", "list of all actions, by name"],
   ["← →", "next tab; width of the controls while their border has the focus"],
   ["Space, held", "jogs while the focus is on a button of the tab Jog"],
   ["?", "this help"],

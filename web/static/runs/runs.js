@@ -62,8 +62,9 @@ function rows(deleted) {
 }
 
 function showSelection() {
-  selection.hidden = chosen.size === 0;
-  selection.firstChild.textContent = `${chosen.size} chosen`;
+  selection.hidden = found.length === 0 || label.value === "deleted";
+  selection.firstChild.textContent = chosen.size === 0 ? "Tick two runs to compare them" : `${chosen.size} chosen`;
+  compare.hidden = removeChosen.hidden = chosen.size === 0;
   compare.disabled = chosen.size !== 2;
   removeChosen.disabled = !mayCommand();
 }
