@@ -77,6 +77,21 @@ class Served:
         self.post("/api/reset")
         self.wait_for(lambda status: status["state"] == "READY")
 
+    def rest_of_joints(self) -> list[float]:
+        """Wait until the joints have not moved for half a second of the loop, and return their positions."""
+        seen: list[float] = []
+        since = 0
+
+        def rests(status: dict[str, Any]) -> bool:
+            nonlocal seen, since
+            joints, ticks = list(status["joints"].values()), status["loop"]["ticks"]
+            if joints != seen or status["stale"]:
+                seen, since = joints, ticks
+            return ticks - since >= 250
+
+        self.wait_for(rests)
+        return seen
+
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-control, ctr-lab or ctr-recorder."""
         for child in psutil.Process(self.process.pid).children():

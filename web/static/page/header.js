@@ -119,7 +119,7 @@ function showRun(status) {
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"
-    ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}` : run.phase === "none" ? "" : status.message;
+    ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}` : ""; // the message describes the other phases
   if (on) $("run-progress").value = run.progress;
 }
 

@@ -168,7 +168,7 @@ async function details(id) {
   content.replaceChildren(
     head("all runs", overview, titleOf(run)),
     card(run),
-    make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
+    make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · `, make("span", { style: "white-space:nowrap" }, id)),
     make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")),
       run.cases.length === 1 ? button("Run again", async () => (await import("../run/run.js")).runAgain(id), { title: "Start a run with the same settings" }) : null, star),
     ...downloads(run),
