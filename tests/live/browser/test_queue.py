@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_sent
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -91,7 +91,7 @@ def test_tab_run_shows_the_run_in_progress_and_the_page_runs_it_again(page: Page
     now.wait_for(state="hidden")
     page.locator("#reset").click()
     first = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]
-    page.locator("#ended").get_by_role("button", name="Run again").click()
+    press_until_sent(page, page.locator("#ended").get_by_role("button", name="Run again").click)
     second = station.wait_for(lambda s: s["state"] == "RUNNING")["run"]
     assert second["id"] != first["id"]
     assert second["title"] == first["title"]

@@ -49,9 +49,10 @@ def state(page: Page) -> str:
 
 
 def test_page_shows_the_station_state_and_every_device(page: Page) -> None:
-    assert state(page) == "READY"
-    assert page.locator("#says").inner_text() == "nothing moves"
+    page.locator("#state", has_text="READY").wait_for()
+    page.locator("#says", has_text="nothing moves").wait_for()
     lights = page.locator("#lights li")
+    page.locator("#lights:not(:has(.light:not([data-severity='0'])))").wait_for()
     names = [light.inner_text().partition(":")[0].strip() for light in lights.all()]
     assert names == ["stages", "tracker", "force sensors"]
     assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
