@@ -174,7 +174,7 @@ function motion(kind, schema, all, values = {}) {
   blockedReason = "";
   const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
   open(kind.replaceAll("_", " "), [make("p", {}, sentence(schema)),
-    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}). ${rig.model}`),
+    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
     load?.element, controlFields(control)], "Start motion", () => startRun(read()));
