@@ -239,9 +239,9 @@ async function fetchStatus() {
  * computer gets some time; if the status stays stale, a note reports that nothing is started.
  */
 export async function ensureFresh() {
-  const end = performance.now() + 1000 * FRESH_WITHIN_S;
-  await pending; // its answer may be older than the press
-  do await pollStatus(); while (wasStale && performance.now() < end);
+  const end = performance.now() + 1000 * FRESH_WITHIN_S, late = new Promise((resolve) => setTimeout(resolve, 1000 * FRESH_WITHIN_S));
+  await Promise.race([pending, late]); // the answer to this request may be older than the press
+  do await Promise.race([pollStatus(), late]); while (wasStale && performance.now() < end);
   if (wasStale) note("Not started: the page has no current data from the robot. Wait for new data, then press again.");
   return !wasStale;
 }
