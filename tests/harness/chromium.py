@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, Request, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Page, Request, ViewportSize, expect, sync_playwright
 
 from tests.harness.serving import Served
 from tests.harness.waiting import NET, until
@@ -23,6 +23,7 @@ FLAGS = [
 GENTLY = Path(__file__).with_name("gentle_chromium")
 #: Timeout of everything for which a test waits in a page [ms].
 PATIENCE = 1e3 * NET
+expect.set_options(timeout=PATIENCE)
 SIZE: ViewportSize = {"width": 1280, "height": 720}
 #: Device scale factor of pages. Without a graphics card the scene takes a whole processor; with coarse pixels and four
 #: pictures a second it takes a fifth. Pictures that are kept for the documents are drawn finely.
