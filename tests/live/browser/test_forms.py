@@ -14,6 +14,9 @@ def motion(page: Page, text: str) -> None:
 
 
 def test_page_shows_a_repeated_refusal_once_in_its_units_with_a_working_value(page: Page, station: Served) -> None:
+    assert station.post("/api/goto").status_code == 202  # the suggested period depends on the pose
+    station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["inner_translation"] + 0.1) < 1e-4)
+    station.rest.delete("/api/operator")
     motion(page, "Move the tip along a circle")
     page.locator("#start").get_by_label("period").fill("4")
     refused = page.locator(".note", has_text="circle cannot be followed")
