@@ -45,7 +45,7 @@ def incompatibility(case: Case, bench: Rig) -> str:
     if case.robot != bench.robot:
         name = bench.robot.name
         other = f"this station has '{name}'" if case.robot.name != name else "this station's robot of that name differs"
-        return f"for robot '{case.robot.name}'; {other}: start one with robot = \"{case.file.robot}\" in its file"
+        return f"for robot '{case.robot.name}'; {other}: end it and start `ctr-station serve --robot {case.file.robot}`"
     try:
         case.file.controller.check_devices(bench.present)
     except DescriptionError as error:

@@ -2,14 +2,14 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+from playwright.sync_api import Browser, Page, Request, ViewportSize, expect, sync_playwright
 
 from tests.harness.serving import Served
-from tests.harness.waiting import NET
+from tests.harness.waiting import NET, until
 
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
@@ -23,6 +23,7 @@ FLAGS = [
 GENTLY = Path(__file__).with_name("gentle_chromium")
 #: Timeout of everything for which a test waits in a page [ms].
 PATIENCE = 1e3 * NET
+expect.set_options(timeout=PATIENCE)
 SIZE: ViewportSize = {"width": 1280, "height": 720}
 #: Device scale factor of pages. Without a graphics card the scene takes a whole processor; with coarse pixels and four
 #: pictures a second it takes a fifth. Pictures that are kept for the documents are drawn finely.
@@ -59,6 +60,53 @@ def chromium(*flags: str) -> Iterator[Browser]:
         yield browser
 
 
+#: One element of each module of the page, which the modules add when they are loaded.
+MODULES = [
+    "#strip output", "#start .card", "#jog form", "#hands fieldset", "#devices h3", "#plots .chart", "#runs .acts",
+    "#calibrate > *", "#faults form", "#help", "#palette",
+]  # fmt: skip
+
+
+def wait_until_loaded(page: Page) -> None:
+    """Wait until every module of the page is loaded; a press before that would have no effect."""
+    page.wait_for_function("all => all.every((one) => document.querySelector(one) !== null)", arg=MODULES)
+
+
+def wait_until_current(page: Page) -> None:
+    """Wait until the page has current data; without them Escape is STOP, and most commands are disabled."""
+    page.locator("body:not(.stale)").wait_for()
+
+
+def press_until(page: Page, press: Callable[[], object], happened: Callable[[], bool]) -> None:
+    """Press until the effect has happened.
+
+    On a busy computer the page may refuse a press because its data are too old; the user then presses again.
+    """
+    refused = page.locator(".note", has_text="Not started")
+    while True:
+        for note in refused.all():
+            note.get_by_role("button", name="close").click()
+        press()
+        until(lambda: happened() or refused.count() > 0)
+        if happened():
+            return
+
+
+def press_until_sent(page: Page, press: Callable[[], object], path: str = "/api/start") -> None:
+    """Press until the page has sent a command to `path`."""
+    sent: list[Request] = []
+
+    def note(request: Request) -> None:
+        if request.method == "POST" and request.url.endswith(path):
+            sent.append(request)
+
+    page.on("request", note)
+    try:
+        press_until(page, press, lambda: len(sent) > 0)
+    finally:
+        page.remove_listener("request", note)
+
+
 def open_tab(page: Page, name: str) -> None:
     """Open a tab of the page, and first the tab around it."""
     if name in ("devices", "calibrate", "faults"):
@@ -76,7 +124,7 @@ def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Pa
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(f"{station.url}/{query}")
     page.locator("#state", has_text="READY").wait_for()
-    page.locator(".card").first.wait_for()
+    wait_until_loaded(page)
     try:
         yield page
     finally:

@@ -1,5 +1,6 @@
 """A live station for tests: `ctr-station serve` in a separate process, on a free port."""
 
+import math
 import signal
 import socket
 import subprocess
@@ -17,6 +18,14 @@ import psutil
 from tests.harness.calm import RATE, SETTINGS
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
+
+#: Usual pose of the preset robot, and how far a test may leave it before the next test returns to it [rad, m]. Tests of
+#: motions from the current pose expect that they are possible.
+USUAL_POSE = {
+    "outer_rotation": (0.0, 0.2),
+    "inner_rotation": (0.5 * math.pi, 0.2),
+    "inner_translation": (-0.1, 0.02),
+}
 
 
 class Served:
@@ -65,7 +74,7 @@ class Served:
         if status["state"] == "CONNECTED":
             self.post("/api/home", {"way_is_clear": True})
         status = self.wait_for(lambda status: status["state"] == "READY" and not status["stale"])
-        if abs(status["joints"]["inner_translation"] + 0.1) > 0.02:
+        if any(abs(status["joints"][name] - usual) > far for name, (usual, far) in USUAL_POSE.items()):
             self._go_to_the_usual_pose()
         self.rest.delete("/api/operator")
 
@@ -76,6 +85,21 @@ class Served:
         self.post("/api/stop")
         self.post("/api/reset")
         self.wait_for(lambda status: status["state"] == "READY")
+
+    def rest_of_joints(self) -> list[float]:
+        """Wait until the joints have not moved for half a second of the loop, and return their positions."""
+        seen: list[float] = []
+        since = 0
+
+        def rests(status: dict[str, Any]) -> bool:
+            nonlocal seen, since
+            joints, ticks = list(status["joints"].values()), status["loop"]["ticks"]
+            if joints != seen or status["stale"]:
+                seen, since = joints, ticks
+            return ticks - since >= 250
+
+        self.wait_for(rests)
+        return seen
 
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-control, ctr-lab or ctr-recorder."""

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query
@@ -10,7 +11,8 @@ from pydantic import ConfigDict, Field
 from core.control.controllers import INNER_LOOPS, STRATEGIES
 from station.config.controllers import ControllerFile
 from station.config.loads import Load
-from station.config.strict import Strict
+from station.config.robots import load_robot
+from station.config.strict import Strict, preset_names
 from station.control.messages import DeviceStatus
 from station.control.states import RefusedError
 from station.control.task import Space
@@ -30,6 +32,13 @@ class JointOut(Strict):
     lower: float
     upper: float
     speed: float
+
+
+class RobotOut(Strict):
+    """A preset robot, with which `ctr-station serve --robot NAME` starts a virtual lab."""
+
+    name: str
+    motors: int
 
 
 class RigOut(Strict):
@@ -62,6 +71,13 @@ class RigOut(Strict):
     """names of the inner loops"""
     controller: ControllerFile
     """controller of a free motion whose request specifies no controller"""
+
+
+@cache
+def _preset_robots() -> tuple[RobotOut, ...]:
+    """Return all preset robots. Reading their files takes half a second, so they are read at the first request."""
+    robots = (load_robot(name) for name in preset_names("robots"))
+    return tuple(RobotOut(name=robot.name, motors=len(robot.joints)) for robot in robots)
 
 
 class DevicesOut(Strict):
@@ -183,6 +199,10 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
             inner=tuple(INNER_LOOPS),
             controller=bench.controller,
         )
+
+    @router.get("/robots", summary="Preset robots and how many motors they have")
+    def robots() -> tuple[RobotOut, ...]:
+        return _preset_robots()
 
     @router.get("/devices", summary="Every device with its details, and raw values")
     def devices() -> DevicesOut:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Page, Route
+from playwright.sync_api import Page, Route, expect
 
 from station.config.strict import PRESETS
 from tests.harness.chromium import open_tab
@@ -41,8 +41,8 @@ def begin(page: Page, card: str, picture: Picture | None = None) -> None:
         picture(page, "calibrate_offer")
     page.get_by_role("button", name="Start: ").click()
     dialog = page.get_by_role("dialog")
-    assert "Is the path clear" in dialog.inner_text()
-    assert dialog.get_by_role("button", name="Start", exact=True).is_disabled()
+    dialog.get_by_text("Is the path clear").wait_for()
+    expect(dialog.get_by_role("button", name="Start", exact=True)).to_be_disabled()
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Start", exact=True).click()
     page.locator("#course progress").wait_for()
@@ -93,7 +93,7 @@ def test_calibrate_tab_requests_a_weight_and_accepts_the_confirmation_by_keyboar
         page.locator("#course .task:visible", has_text="Hang a weight of 0.5 N at the tip.").wait_for()
         picture(page, "calibrate_ask")
         # The button has the keyboard focus, because the user's hands are busy at the tip.
-        page.get_by_role("button", name="Weight attached").wait_for()
+        expect(page.get_by_role("button", name="Weight attached")).to_be_focused()
         page.keyboard.press("Enter")
         page.locator("#course .task").wait_for(state="hidden")
         assert confirmed == ["POST"]
@@ -127,11 +127,11 @@ def test_aborted_calibration_writes_no_result_and_shows_the_cause(
     page.locator("#state", has_text="STOPPED").wait_for()
     picture(page, "calibrate_aborted")
     page.get_by_role("button", name="Dismiss").click()
-    assert page.locator("#course .ended").is_hidden()
+    page.locator("#course .ended").wait_for(state="hidden")
     assert station.rest.get("/api/calibration/results").json() == before
     page.locator("#calibrate .card", has_text="Axes").click()
     page.locator("#calibrate", has_text="not while STOPPED").wait_for()
-    assert page.get_by_role("button", name="Start: ").is_disabled()
+    expect(page.get_by_role("button", name="Start: ")).to_be_disabled()
     page.locator("#reset").click()
     page.locator("#state", has_text="READY").wait_for()
     page.wait_for_function("() => !document.querySelector('#calibrate button.main[type=submit]').disabled")
@@ -151,7 +151,7 @@ def test_tube_exchange_shows_a_checklist_for_the_selected_robot(calibrate: Page,
     page.locator("#calibrate .card", has_text="Tube exchange").click()
     page.get_by_label("robot with the new tubes").select_option("three_tubes")
     page.locator(".todo li", has_text="EI, curvature").wait_for()
-    assert "power off" in page.locator(".todo li").first.inner_text()
+    page.locator(".todo li").first.filter(has_text="power off").wait_for()
     picture(page, "calibrate_exchange")
     text = (PRESETS / "robots" / "paper.toml").read_text(encoding="utf-8")
     page.get_by_label("robot's file").set_input_files(

@@ -1,8 +1,8 @@
 """Forms: refusals use the units of the fields, and typed text is not lost."""
 
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_sent, wait_until_loaded
 from tests.harness.serving import Served
 
 
@@ -14,15 +14,17 @@ def motion(page: Page, text: str) -> None:
 
 
 def test_page_shows_a_repeated_refusal_once_in_its_units_with_a_working_value(page: Page, station: Served) -> None:
+    assert station.post("/api/goto").status_code == 202  # the suggested period depends on the pose
+    station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["inner_translation"] + 0.1) < 1e-4)
+    station.rest.delete("/api/operator")
     motion(page, "Move the tip along a circle")
     page.locator("#start").get_by_label("period").fill("4")
     refused = page.locator(".note", has_text="circle cannot be followed")
     for _ in range(2):
         with page.expect_response("**/api/start"):
-            page.get_by_role("button", name="Start motion").click()
-        refused.wait_for()
-    assert refused.count() == 1
-    assert "speed of outer_rotation (20 °/s); a period of 8 s would work from here" in refused.inner_text()
+            press_until_sent(page, page.get_by_role("button", name="Start motion").click)
+        refused.filter(has_text="speed of outer_rotation (20 °/s); a period of 8 s would work from here").wait_for()
+    expect(refused).to_have_count(1)
     assert station.status()["state"] == "READY"
 
 
@@ -38,9 +40,10 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
     open_newest()
     page.get_by_label("notes", exact=True).fill("a new coil")
     page.reload()
+    wait_until_loaded(page)
     open_newest()
     assert page.get_by_label("notes", exact=True).input_value() == "a new coil"
     page.get_by_text("not saved yet; kept in this browser").wait_for()
     page.get_by_role("button", name="Save notes").click()
     page.locator(".note", has_text="notes are saved").wait_for()
-    assert page.get_by_text("not saved yet").count() == 0
+    expect(page.get_by_text("not saved yet")).to_have_count(0)

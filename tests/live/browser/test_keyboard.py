@@ -2,6 +2,7 @@
 
 from playwright.sync_api import Page
 
+from tests.harness.chromium import press_until_sent
 from tests.harness.serving import Served
 
 #: Largest number of Tab presses to reach a control.
@@ -29,8 +30,12 @@ def test_run_is_chosen_started_stopped_and_reset_by_keyboard(page: Page, station
     page.keyboard.press("Control+A")
     page.keyboard.type("45")
     page.locator("button:enabled", has_text="Start motion").wait_for()
-    tab_to(page, "Start motion")
-    page.keyboard.press("Enter")
+
+    def start() -> None:
+        tab_to(page, "Start motion")
+        page.keyboard.press("Enter")
+
+    press_until_sent(page, start)
     status = station.wait_for(lambda s: s["state"] == "RUNNING")
     assert status["run"]["duration"] == 45.0
     page.locator("#state", has_text="RUNNING").wait_for()

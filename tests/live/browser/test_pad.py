@@ -44,8 +44,7 @@ def moves(page: Page, station: Served) -> None:
 def wait_until_at_rest(station: Served) -> None:
     """Check that the jog has ended and that no other jog starts: telemetry continues and the joints rest."""
     station.wait_for(lambda status: status["state"] == "READY")
-    seen: list[list[float]] = []
-    station.wait_for(lambda s: seen.append(list(s["joints"].values())) or (len(seen) > 40 and seen[-1] == seen[-30]))
+    station.rest_of_joints()
     assert station.status()["state"] == "READY"
 
 

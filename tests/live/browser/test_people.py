@@ -11,8 +11,9 @@ from playwright.sync_api import Browser, Page
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.harness.chromium import bare_page
+from tests.harness.chromium import bare_page, press_until_sent
 from tests.harness.serving import Served, serving
+from tests.harness.waiting import until
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
@@ -32,7 +33,7 @@ def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser
         ben.locator("#start", has_text="'Anna' is operator").wait_for()
         assert ben.get_by_role("button", name="Start motion").is_disabled()
         anna.locator(".card", has_text="Keep the tip where it is").click()
-        anna.get_by_role("button", name="Start motion").click()
+        press_until_sent(anna, anna.get_by_role("button", name="Start motion").click)
         ben.locator("#state", has_text="RUNNING").wait_for()
         # Every client may send STOP.
         ben.locator("#stop").click()
@@ -116,8 +117,8 @@ def test_page_of_another_site_reads_nothing_and_moves_nothing(
     status = station.status()
     assert status["state"] == "READY"
     assert status["operator"]["name"] is None
-    refused = [entry for entry in station.rest.get("/api/log?count=50").json() if hostile_site[:-1] in entry["outcome"]]
-    assert len(refused) >= 3
+    log = "/api/log?count=50"
+    until(lambda: sum(hostile_site[:-1] in entry["outcome"] for entry in station.rest.get(log).json()) >= 3)
 
 
 # ---- beyond loopback

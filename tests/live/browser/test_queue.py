@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Locator, Page
+from playwright.sync_api import Locator, Page, expect
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_sent
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -71,6 +71,24 @@ def test_all_cases_of_an_experiment_are_queued_by_one_press_and_reordered_paused
     page.locator("#queue").wait_for(state="hidden")
 
 
+def test_motion_is_added_to_the_queue_as_often_as_the_form_says(page: Page, station: Served) -> None:
+    overview(page)
+    page.locator(".card", has_text="Keep the tip where it is").click()
+    repeat = page.get_by_label("repetitions in the queue")
+    repeat.fill("51")
+    page.get_by_role("button", name="Add to queue").click()
+    assert repeat.evaluate("field => !field.validity.valid")
+    assert entries(station) == []
+    repeat.fill("3")
+    page.get_by_role("button", name="Add to queue").click()
+    page.locator("#notes", has_text="added to the queue 3 times").wait_for()
+    expect(rows(page)).to_have_count(3)
+    assert len({entry["title"] for entry in entries(station)}) == 1
+    page.locator("#stop").click()
+    page.locator("#state", has_text="STOPPED").wait_for()
+    overview(page)
+
+
 def test_tab_run_shows_the_run_in_progress_and_the_page_runs_it_again(page: Page, station: Served) -> None:
     overview(page)
     station.post("/api/start", CIRCLE)
@@ -91,7 +109,7 @@ def test_tab_run_shows_the_run_in_progress_and_the_page_runs_it_again(page: Page
     now.wait_for(state="hidden")
     page.locator("#reset").click()
     first = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]
-    page.locator("#ended").get_by_role("button", name="Run again").click()
+    press_until_sent(page, page.locator("#ended").get_by_role("button", name="Run again").click)
     second = station.wait_for(lambda s: s["state"] == "RUNNING")["run"]
     assert second["id"] != first["id"]
     assert second["title"] == first["title"]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, open_tab
+from tests.harness.chromium import PATIENCE, open_tab, press_until, wait_until_current
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -45,7 +45,8 @@ def experiment(station: Served, page: Page) -> None:
     station.rest.delete("/api/operator")
     open_tab(page, "start")
     page.locator(".card", has_text="Fig. 4").click()
-    button(page, "Start experiment")
+    start, question = page.get_by_role("button", name="Start experiment"), page.get_by_role("dialog")
+    press_until(page, start.click, question.is_visible)
 
 
 def delete(station: Served, page: Page) -> None:
@@ -84,6 +85,7 @@ def test_stop_button_and_state_are_usable_under_every_dialog(
         assert question.is_visible()
         station.ready()
         page.locator("#state", has_text="READY").wait_for()
+    wait_until_current(page)
     page.keyboard.press("Escape")
     question.wait_for(state="hidden")
     assert station.status()["state"] == "READY"  # Escape closed the question and did nothing else
@@ -141,6 +143,7 @@ def test_stop_works_while_the_page_has_no_data(station: Served, page: Page, pres
 
 def test_escape_key_in_the_page_stops_a_motion(station: Served, page: Page) -> None:
     page.locator("#tab-start").focus()
+    wait_until_current(page)
     page.keyboard.press("Escape")
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
@@ -155,6 +158,7 @@ def test_shift_space_in_a_text_box_types_a_space_at_rest_and_stops_a_motion(stat
         button(page, "all runs")
     search = page.get_by_label("search")
     search.fill("A")
+    wait_until_current(page)
     search.press("Shift+Space")
     assert search.input_value() == "A "
     station.post("/api/start", HOLD)

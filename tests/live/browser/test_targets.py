@@ -9,7 +9,7 @@ from playwright.sync_api import Page
 from pyigtl import OpenIGTLinkClient
 from pyigtl.messages import TransformMessage
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_sent
 from tests.harness.gateway_clients import igtl_client
 from tests.harness.serving import Served, serving
 
@@ -33,7 +33,7 @@ def test_operator_starts_following_an_external_target_and_stop_ends_it(
     page.locator(".card", has_text="external target").click()
     assert page.get_by_label("speed").input_value() == "20"  # mm/s
     page.get_by_label("end", exact=True).fill("60")
-    page.get_by_role("button", name="Start following").click()
+    press_until_sent(page, page.get_by_role("button", name="Start following").click, "/api/gateway/target")
     page.locator("#state", has_text="RUNNING").wait_for()
     station.wait_for(lambda status: status["phase"] == "moving")
     begun = np.array(station.status()["tip_desired"])

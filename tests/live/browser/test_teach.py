@@ -61,7 +61,7 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     add.click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0]]
     before = station.status()
-    go(station, {"inner_translation": -0.095})
+    go(station, {"inner_translation": before["joints"]["inner_translation"] + 0.005})
     teach.get_by_text("A motion from here shifts the whole path").wait_for()
 
     def added() -> bool:
@@ -89,7 +89,8 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
         return too_old.count() == 0
 
     until(started)
-    station.wait_for(lambda status: abs(status["joints"]["inner_translation"] + 0.1) < 1e-4)
+    start = before["joints"]["inner_translation"]
+    station.wait_for(lambda status: abs(status["joints"]["inner_translation"] - start) < 1e-4)
     teach.get_by_text("A motion from here shifts the whole path").wait_for(state="hidden")
 
 

@@ -1,7 +1,7 @@
 // Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
 import { $, benchNote, button, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, unit } from "../page/station.js";
 import { home } from "../page/header.js";
-import { poll } from "../page/tabs.js";
+import { isOpen, onTab, poll } from "../page/tabs.js";
 import { jogWhileHeld, mayJog } from "../jog/jog.js";
 
 const rig = await request("GET", "/api/rig");
@@ -14,10 +14,22 @@ const buttons = {
 const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
 const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
 const bench = make("p", { className: "small" });
-$("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), list, bench,
+const robot = make("p", { className: "small" }, `Robot: ${rig.robot}, ${rig.joints.length} motors.`);
+$("devices").append(make("div", { className: "acts", style: "margin:0 0 8px" }, ...Object.values(buttons)), robot, list, bench,
   make("h3", {}, "Does every axis move in the right direction?"),
   make("p", { className: "small dim" }, "Hold a button for a second or two: the joint moves slowly in its positive direction. The tracker's motion is compared with the model's."),
   joints, make("h3", {}, "Raw values"), raw);
+
+/** Show once how a virtual lab is started with another robot. */
+async function showRobots() {
+  if (!rig.virtual || robot.children.length > 0) return;
+  const others = (await request("GET", "/api/robots").catch(() => [])).filter(({ name }) => name !== rig.robot);
+  if (others.length === 0 || robot.children.length > 0) return; // the next opening of the tab tries again
+  robot.append(" For another robot end the station and start it with ", make("code", {}, "ctr-station serve --robot NAME"),
+    `: ${others.map(({ name, motors }) => `${name} (${motors} motors)`).join(", ")}.`);
+}
+onTab("devices", (open) => { if (open) showRobots(); });
+if (isOpen("devices")) showRobots();
 
 // ---- axis signs
 

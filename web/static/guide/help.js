@@ -3,7 +3,8 @@ import { $, button, make } from "../page/station.js";
 import { switches } from "./notify.js";
 
 const STATES = [
-  ["OFF, CONNECTED", "no device is connected; the devices answer, but the positions of the joints are unknown: home the stages"],
+  ["OFF", "no device is connected: press Connect"],
+  ["CONNECTED", "the devices answer, but the positions of the joints are unknown: home the stages"],
   ["READY", "nothing moves, and a motion can start"],
   ["RUNNING, HOMING", "the robot moves"],
   ["HOLD", "a fault or a limit has ended the motion; the robot keeps its position, motors on; Reset leads back to READY"],
@@ -12,8 +13,9 @@ const STATES = [
 ];
 const KEYS = [
   ["Shift+Space", "STOP, wherever the focus is"],
-  ["Escape", "closes an open question; otherwise STOP while something moves; otherwise closes this help"],
-  ["Ctrl+K", "all actions, by name"],
+  ["Escape", "while something moves: STOP; but an open question is closed instead, so use Shift+Space there"],
+  ["", "at rest: closes what is open: a question, this help, the list of actions or the tour"],
+  ["Ctrl+K", "list of all actions, by name"],
   ["← →", "next tab; width of the controls while their border has the focus"],
   ["Space, held", "jogs while the focus is on a button of the tab Jog"],
   ["?", "this help"],

@@ -30,6 +30,7 @@ const ACTIONS = [
   { title: "Clear the queue", against: inStates(), run: command("DELETE", "/api/queue") },
   ...[["start", "Run"], ["jog", "Jog"], ["plots", "Plots"], ["runs", "History"], ["devices", "Bench, Devices"], ["calibrate", "Bench, Calibrate"], ["faults", "Bench, Faults"]]
     .map(([id, name]) => ({ title: `Open ${name}`, run: () => openTab(id) })),
+  { title: "Compare two runs (tick them in History)", run: () => openTab("runs") },
   { title: "Help", run: toggleHelp },
   { title: "Show me around", run: tour },
 ];

@@ -1,5 +1,5 @@
 // First visit: one obvious thing to do, and three sentences about the page. Shown once per browser.
-import { $, benchNote, button, make, setText, mayCommand, onStatus, sendCommand } from "../page/station.js";
+import { $, benchNote, button, ensureFresh, make, setText, mayCommand, onStatus, sendCommand } from "../page/station.js";
 import { openTab } from "../page/tabs.js";
 
 const STEPS = [
@@ -15,7 +15,7 @@ const bench = make("p", { className: "small", hidden: true });
 
 async function runDemo() {
   openTab("start");
-  if (await sendCommand("POST", "/api/start", { experiment: "demo" })) close();
+  if (await ensureFresh() && await sendCommand("POST", "/api/start", { experiment: "demo" })) close();
 }
 
 onStatus((status) => {

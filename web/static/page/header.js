@@ -104,6 +104,7 @@ onStatus((status) => {
   if (status === null) return;
   const { operator } = status, act = $("operator-act");
   $("operator-name").textContent = operator.you ? "You are operator" : operator.name === null ? "No operator" : `Operator: ${operator.name}`;
+  $("operator").dataset.holder = operator.you ? "you" : operator.name === null ? "none" : "other"; // a phone shows only another's name
   $("operator-name").title = operator.name ?? "the first command makes its sender operator";
   act.hidden = operator.role !== "operator";
   act.textContent = operator.you ? "Release" : operator.name === null ? "Take control" : "Take over…";
@@ -119,7 +120,7 @@ function showRun(status) {
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"
-    ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}` : run.phase === "none" ? "" : status.message;
+    ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}` : ""; // the message describes the other phases
   if (on) $("run-progress").value = run.progress;
 }
 

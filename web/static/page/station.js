@@ -207,11 +207,15 @@ let status = null, receivedAt = 0, pending = null, wasStale = null;
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
+/** States in which the robot may send no values, as in web/api/status.py; the status itself is then what must be current. */
+const WITHOUT_VALUES = ["OFF", "FAULT"];
+const valuesAge = () => (status === null || WITHOUT_VALUES.includes(status.state) ? 0 : status.age);
+
 /** Age of the robot's data [s]: the time since the last status, and the age that its values had then. */
-export const dataAge = () => (performance.now() - receivedAt) / 1000 + (status?.age ?? 0);
+export const dataAge = () => (performance.now() - receivedAt) / 1000 + valuesAge();
 
 function publish() {
-  wasStale = status === null || status.stale || dataAge() > STALE_AFTER_S;
+  wasStale = status === null || (status.stale && !WITHOUT_VALUES.includes(status.state)) || dataAge() > STALE_AFTER_S;
   document.body.classList.toggle("stale", wasStale);
   for (const listener of listeners) listener(status, wasStale);
   for (const [box, isCurrent] of lasting) if (status !== null && !(box.isConnected && isCurrent(status))) { box.remove(); lasting.delete(box); }
@@ -235,9 +239,9 @@ async function fetchStatus() {
  * computer gets some time; if the status stays stale, a note reports that nothing is started.
  */
 export async function ensureFresh() {
-  const end = performance.now() + 1000 * FRESH_WITHIN_S;
-  await pending; // its answer may be older than the press
-  do await pollStatus(); while (wasStale && performance.now() < end);
+  const end = performance.now() + 1000 * FRESH_WITHIN_S, late = new Promise((resolve) => setTimeout(resolve, 1000 * FRESH_WITHIN_S));
+  await Promise.race([pending, late]); // the answer to this request may be older than the press
+  do await Promise.race([pollStatus(), late]); while (wasStale && performance.now() < end);
   if (wasStale) note("Not started: the page has no current data from the robot. Wait for new data, then press again.");
   return !wasStale;
 }

@@ -17,7 +17,7 @@ const charts = [
 ];
 const title = make("h3"), phase = make("p", { className: "small dim" }), load = make("p", { className: "small" });
 const progress = make("progress", { max: 1, value: 0, "aria-label": "progress" });
-const marked = make("input", { value: "touched", maxLength: 200, "aria-label": "text of the mark" });
+const marked = make("input", { type: "text", value: "touched", maxLength: 200, "aria-label": "text of the mark" });
 const mark = button("Mark this moment", async () => { if (await sendCommand("POST", "/api/mark", { text: marked.value.trim() || "marked" })) note("marked in the recording", true); });
 /** The run in progress, hidden while there is none. */
 export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, ...charts.map((chart) => chart.element), make("div", { className: "acts" }, marked, mark));

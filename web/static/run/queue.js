@@ -2,7 +2,7 @@
 import { button, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
 import { isOpen, onTab } from "../page/tabs.js";
 
-const POLL_INTERVAL_MS = 1000;
+const POLL_INTERVAL_MS = 1000, MAX_REPEATS = 50; // as in web/api/queue.py
 const SIGNS = { waiting: "○", running: "▶", done: "●", failed: "▲" };
 const list = make("ol"), state = make("p", { className: "small", role: "status" });
 const act = (method, path, text, label, body) => button(text, async () => { if (await sendCommand(method, path, body)) refresh(); }, { "aria-label": label });
@@ -10,11 +10,19 @@ const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), r
 /** The queue, hidden while it is empty. */
 export const box = make("fieldset", { id: "queue", hidden: true }, make("legend", {}, "Queue"), state, list, make("div", { className: "acts" }, pause, resume, clear));
 
-/** Add the runs of a request at the end of the queue. */
-export async function addToQueue(body) {
-  const queue = await sendCommand("POST", "/api/queue", body);
+/** Return the field for how often runs are added to the queue: {element, read()}; read() returns null for an invalid number. */
+export function repetitions() {
+  const input = make("input", { type: "number", min: 1, max: MAX_REPEATS, step: 1, value: 1, required: true, "aria-label": "repetitions in the queue" });
+  const element = make("label", { className: "small", title: "The noise of the sensors differs from run to run, as with another seed" }, "repeat ", input, " times");
+  return { element, read: () => (input.reportValidity() ? Number(input.value) : null) };
+}
+
+/** Add the runs of a request at the end of the queue, as often as the field `repeat` contains. */
+export async function addToQueue(body, repeat = null) {
+  const times = repeat === null ? 1 : repeat.read();
+  const queue = times === null ? null : await sendCommand("POST", "/api/queue", { ...body, repeat: times });
   if (queue === null) return;
-  note("added to the queue", true);
+  note(times === 1 ? "added to the queue" : `added to the queue ${times} times`, true);
   show(queue);
 }
 

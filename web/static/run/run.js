@@ -6,7 +6,7 @@ import { card, head, openTab } from "../page/tabs.js";
 import { go } from "../jog/jog.js";
 import { change, origin, rows } from "./waypoint_list.js";
 import { box as now } from "./now.js";
-import { addToQueue, box as queue } from "./queue.js";
+import { addToQueue, box as queue, repetitions } from "./queue.js";
 import { waypoints } from "./waypoints.js";
 
 /** Initial values of form fields without a default, SI. */
@@ -141,8 +141,9 @@ function experiment(one, caseName = one.cases[0].name) {
       make("p", { className: "dim" }, `Now: ${poseText(rig.joints, now)}. Check that the path is clear. STOP works at any time.`))) return;
     await startRun({ experiment: one.name, case: chosen.name }, chosen.warnings);
   });
-  submitButton.after(button("Add to queue", () => addToQueue({ experiment: one.name, case: select.value })),
-    ...(one.cases.length > 1 ? [button(`Add all ${one.cases.length} cases to queue`, () => addToQueue({ experiment: one.name }))] : []));
+  const repeat = repetitions();
+  submitButton.after(button("Add to queue", () => addToQueue({ experiment: one.name, case: select.value }, repeat)),
+    ...(one.cases.length > 1 ? [button(`Add all ${one.cases.length} cases to queue`, () => addToQueue({ experiment: one.name }, repeat))] : []), repeat.element);
 }
 
 function union(all, field, kind, title, values = INITIAL_VALUES[kind]) {
@@ -173,11 +174,12 @@ function motion(kind, schema, all, values = {}) {
   blockedReason = "";
   const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
   open(kind.replaceAll("_", " "), [make("p", {}, sentence(schema)),
-    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}). ${rig.model}`),
+    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
     load?.element, controlFields(control)], "Start motion", () => startRun(read()));
-  submitButton.after(button("Add to queue", () => { if (submitButton.form.reportValidity()) addToQueue(read()); }));
+  const repeat = repetitions();
+  submitButton.after(button("Add to queue", () => { if (submitButton.form.reportValidity()) addToQueue(read(), repeat); }), repeat.element);
 }
 
 /** Show the form of a run that follows external targets while this page is operator. */

@@ -1,5 +1,5 @@
 // Result of a run: the errors first, then its curves; everything else is folded. And the comparison of two runs.
-import { make, request } from "../page/station.js";
+import { dateTime, make, request, timeOfDay } from "../page/station.js";
 import { curve, sparkline } from "../page/chart.js";
 
 export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
@@ -108,7 +108,10 @@ export function folded(title, rows, id = "") {
 // ---- comparison of two runs: their numbers, their curves in one chart, and all other differences
 
 const text = (value) => make("td", { className: "any", style: "text-align:right" }, value);
-const signed = (value) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(2)}`;
+const signed = (value) => {
+  const text = Math.abs(value).toFixed(2);
+  return Number(text) === 0 ? text : `${value < 0 ? "−" : "+"}${text}`;
+};
 
 /** Return pairs of cases of two runs: cases with the same name, or the first case of each run if no names match. */
 function pairs(a, b) {
@@ -133,10 +136,11 @@ function numbersOfTwo(runs) {
   return rows.map(([title, ...values]) => make("tr", {}, make("td", {}, title), ...values.map((value) => cell(value))));
 }
 
-/** Return number, title and start of a compared run; two runs with one title differ in their starts. */
-function heading(run, index) {
-  const start = new Date(1000 * run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "medium" });
-  return `${index + 1}: ${run.title || run.experiment || run.id}, ${start}`;
+/** Return number, title and start of a compared run; two runs with one title differ in their starts, often in the time of day alone. */
+function heading(runs, index) {
+  const run = runs[index], [day, otherDay] = [run, runs[1 - index]].map((one) => new Date(1000 * one.started).toDateString());
+  const start = new Date(1000 * run.started);
+  return `${index + 1}: ${run.title || run.experiment || run.id}, ${day === otherDay ? timeOfDay(start) : dateTime(start)}`;
 }
 
 /** Return a table row for each entry in which two objects differ. */
@@ -167,8 +171,8 @@ function overlaidCurves(runs) {
     const drawn = make("div");
     const draw = () => {
       const [nameA, nameB] = matched[Math.max(0, choice.selectedIndex)] ?? [];
-      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, `No curves to compare: ${heading(...(Object.keys(a).length === 0 ? [runs[0], 0] : [runs[1], 1]))} has no recorded motion.`)
-        : pictures([[heading(runs[0], 0), a[nameA]], [heading(runs[1], 1), b[nameB]]]));
+      drawn.replaceChildren(nameA === undefined ? make("p", { className: "small dim" }, `No curves to compare: ${heading(runs, Object.keys(a).length === 0 ? 0 : 1)} has no recorded motion.`)
+        : pictures([[heading(runs, 0), a[nameA]], [heading(runs, 1), b[nameB]]]));
     };
     choice.addEventListener("change", draw);
     choice.hidden = matched.length < 2;
@@ -181,7 +185,7 @@ function overlaidCurves(runs) {
 /** Return the comparison of two runs, the older one first. */
 export function comparison(chosen) {
   const runs = [...chosen].sort((a, b) => a.started - b.started);
-  const names = runs.map((run, i) => make("th", {}, heading(run, i)));
+  const names = runs.map((_, i) => make("th", { className: "number" }, heading(runs, i)));
   const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),

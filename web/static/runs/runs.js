@@ -62,8 +62,9 @@ function rows(deleted) {
 }
 
 function showSelection() {
-  selection.hidden = chosen.size === 0;
-  selection.firstChild.textContent = `${chosen.size} chosen`;
+  selection.hidden = found.length === 0 || label.value === "deleted";
+  selection.firstChild.textContent = chosen.size === 0 ? "Tick two runs to compare them" : `${chosen.size} chosen`;
+  compare.hidden = removeChosen.hidden = chosen.size === 0;
   compare.disabled = chosen.size !== 2;
   removeChosen.disabled = !mayCommand();
 }
@@ -167,7 +168,7 @@ async function details(id) {
   content.replaceChildren(
     head("all runs", overview, titleOf(run)),
     card(run),
-    make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · ${id}`),
+    make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · `, make("span", { style: "white-space:nowrap" }, id)),
     make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")),
       run.cases.length === 1 ? button("Run again", async () => (await import("../run/run.js")).runAgain(id), { title: "Start a run with the same settings" }) : null, star),
     ...downloads(run),

@@ -256,10 +256,12 @@ function draw(plane, field, stale) {
     const count = [5, 2, 1].find((n) => n * step * scale < 0.4 * w) ?? 1, length = count * step * scale, y = h - 9;
     stroke([[10, y - 4], [10, y], [10 + length, y], [10 + length, y - 4]], colours.text, 1.5, "butt");
     pen.fillStyle = colours.text;
-    pen.fillText(`${Number((count * step).toFixed(1))} mm`, 16 + length, y + 2);
+    const lengthText = `${Number((count * step).toFixed(1))} mm`;
+    pen.fillText(lengthText, 16 + length, y + 2);
     const [[across, rightSign], [upward, upSign]] = [plane.right, plane.up];
     const axesText = `${AXES[across]} ${rightSign > 0 ? "→" : "←"}  ${AXES[upward]} ${upSign > 0 ? "↑" : "↓"}`;
     pen.fillStyle = colours.dim;
-    pen.fillText(axesText, w - 8 - pen.measureText(axesText).width, y + 2);
+    const left = w - 8 - pen.measureText(axesText).width;
+    if (left > 24 + length + pen.measureText(lengthText).width) pen.fillText(axesText, left, y + 2); // a small picture has no room for it
   }
 }

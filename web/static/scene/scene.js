@@ -2,7 +2,7 @@
 import { $, client, latest, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
 
 const trueDiameter = make("input", { type: "checkbox", name: "true_diameter" });
-$("switches").append(make("label", { title: "Draw the tubes at their true diameter instead of magnified" }, trueDiameter, "true diameter"));
+$("switches").querySelector("div").append(make("label", { title: "Draw the tubes at their true diameter instead of magnified" }, trueDiameter, "true diameter"));
 const frame = $("scene"), boxes = [...document.querySelectorAll("#switches input")];
 
 frame.addEventListener("load", () => {
