@@ -173,18 +173,17 @@ def drag(page: Page, handle: np.ndarray, size: float, axis: int, way: float) -> 
 
 
 def drag_until(page: Page, attempt: Callable[[], None], moved: Callable[[], bool]) -> None:
-    """Drag until a handle has moved.
+    """Drag until a handle has moved, each time from the view for which `on_screen` computes pixels.
 
-    If a busy computer has not yet drawn the handle under the pointer, the drag turns the camera instead; the next
-    attempt then starts from the first view again.
+    If a busy computer has not yet drawn the handle under the pointer, the drag turns the camera instead.
     """
     for _ in range(20):
+        page.locator("#views button", has_text="Overview").click()
+        page.wait_for_timeout(2500)
         attempt()
         page.wait_for_timeout(1000)
         if moved():
             return
-        page.locator("#views button", has_text="Overview").click()
-        page.wait_for_timeout(2500)
     raise AssertionError("no handle has moved")
 
 
@@ -197,7 +196,7 @@ def drag_target(page: Page, station: Served, axis: int, way: float) -> None:
     before = np.array(target(station)["position"])
     drag_until(
         page,
-        lambda: drag(page, before, TARGET_SIZE_M, axis, way),
+        lambda: drag(page, np.array(target(station)["position"]), TARGET_SIZE_M, axis, way),
         lambda: bool(abs(target(station)["position"][axis] - before[axis]) > 0.1 * abs(way)),
     )
 
