@@ -176,8 +176,8 @@ class TargetConfig(Strict):
     """largest change of both amplitudes, with a period of 45 s, as a fraction"""
 
 
-#: Simulated stages, by the name of their driver.
-StagesKind = Literal["zaber", "zaber_ascii", "cia402"]
+#: Simulated stages, by the name of their driver, or of the dialect of the driver `gcode`.
+StagesKind = Literal["zaber", "zaber_ascii", "cia402", "grbl", "marlin"]
 #: Kinds of devices that a bench does not have.
 Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
 
