@@ -231,7 +231,8 @@ class GcodeBoard:
         self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
         if self.stopping and not self._urgent and before is not None and before.values == position.values:
             at_rest = position.state not in ("Jog", "Run", "Home")
-            if at_rest and not self._waiting and now - self._stopped_at > POLL_S:
+            queued = any(kind == "segment" for _, kind in self._waiting)
+            if at_rest and not queued and now - self._stopped_at > POLL_S:
                 self.stopping, self._target = False, None
 
     def raw(self, position: Position) -> list[float]:
