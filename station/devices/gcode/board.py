@@ -119,20 +119,21 @@ class GcodeBoard:
 
     def stop(self) -> None:
         """Empty the planner before any other command, again and again until the board is at rest."""
-        homing = self._request is not None and self._request.homing and self._requested is not None
         self._desired = [0.0 for _ in self.setups]
         self.cancel()
-        if self.stopping and not homing:
+        if self.stopping and not self._home_ended:
             return
         self.stopping = self._urgent = True
-        self._killed, self._home_ended, self._stopped_at = False, homing, math.inf
+        self._killed, self._stopped_at = False, math.inf
 
     def send_request(self, request: Request) -> None:
         """Send one request; `feed` returns its `Answer`."""
         self._request, self._requested, self._lines = request, None, []
 
     def cancel(self) -> None:
-        """Cancel the pending request."""
+        """Cancel the pending request; a homing ends at the next stop."""
+        if self._request is not None and self._requested is not None and self._request.homing:
+            self._home_ended = True
         self._request = None
         self._waiting.clear()
         self._unanswered = None
@@ -160,12 +161,15 @@ class GcodeBoard:
             self.stopping = False
             why = f"no answer of the board for {1e3 * (now - self._unanswered):.0f} ms"
             events += [AxisLost(i, why) for i in sorted(self.lost)]
-        if self._waiting and self._request is None and now - self._waiting[0][0] > self._deadline:
+        if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
             self._waiting.clear()  # a reply was damaged
             self.counts[0].missed += 1
+            self._renumber()
         return events
 
     def _take(self, message: Message, line: str, events: list[Event], now: float) -> None:
+        if not isinstance(message, Info | Failure):
+            self._unanswered = None
         match message:
             case Ok() | Failure():
                 self._acknowledge(message, events)
@@ -207,8 +211,12 @@ class GcodeBoard:
             self._rejections = self._rejections + 1 if isinstance(message, Failure) else 0
             if isinstance(message, Failure) and self._rejections >= MAX_REJECTIONS:
                 self._break(events, f"rejects its motions: {message.text}", False)
+        self._renumber()
+
+    def _renumber(self) -> None:
+        """Continue with the number that Marlin requested, once no line is in transit; targets are absolute."""
         if not self._waiting and self._resend >= 0:
-            self._number, self._resend = self._resend, -1
+            self._number, self._resend = self._resend - 1, -1
 
     def _read(self, position: Position, events: list[Event], now: float) -> None:
         before, self.reading = self.reading, position
@@ -230,7 +238,8 @@ class GcodeBoard:
         # The clock of the board may be slower or faster, so the pace of the segments follows the position.
         self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
         if self.stopping and not self._urgent and before is not None and before.values == position.values:
-            at_rest = position.state not in ("Jog", "Run", "Home")
+            doubtful = any(estimate.doubtful for estimate in self.estimates)
+            at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
             queued = any(kind == "segment" for _, kind in self._waiting)
             if at_rest and not queued and now - self._stopped_at > POLL_S:
                 self.stopping, self._target = False, None
