@@ -99,6 +99,7 @@ class GcodeBoard:
         self._accumulated = 0.0  # time since the end of the last segment that was sent [s]
         self._planned = -math.inf  # time at which the board has executed every segment [s]
         self._speeds = [0.0 for _ in count]  # of the estimates [counts/s]
+        self._future: deque[tuple[float, int, float]] = deque()  # speeds of the estimates that start later
         self._free = self._next_poll = self._stopped_at = -math.inf
         self._reset_until = self._next_stop = -math.inf
         self._unanswered: float | None = None  # time of the oldest query without an answer [s]
@@ -147,6 +148,9 @@ class GcodeBoard:
 
     def feed(self, data: bytes, now: float) -> list[Event]:
         """Process bytes that have arrived by `now` [s], detect missing replies, and return events."""
+        while self._future and self._future[0][0] <= now:
+            when, i, speed = self._future.popleft()
+            self.estimates[i].command(speed, when)
         for estimate in self.estimates:
             estimate.advance(now)
         events: list[Event] = []
@@ -233,7 +237,7 @@ class GcodeBoard:
             if estimate.rejected >= MAX_UNEXPECTED_READINGS:
                 estimate.forget()
                 events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
-            elif estimate.rejected == 2 and self.dialect == "grbl" and not self.stopping:
+            elif estimate.rejected == 4 and self.dialect == "grbl" and not self.stopping:
                 self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
         # The clock of the board may be slower or faster, so the pace of the segments follows the position.
         self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
@@ -279,6 +283,8 @@ class GcodeBoard:
         if first:
             self._stopped_at = now
             self.sent = [0 for _ in self.setups]
+            self._future.clear()
+            self._speeds = [math.nan for _ in self.setups]
             for i in range(len(self.setups)):
                 self._estimate(i, 0.0, now + PROCESSING_S)
             self._planned, self._accumulated = -math.inf, 0.0
@@ -375,4 +381,4 @@ class GcodeBoard:
     def _estimate(self, i: int, speed: float, when: float) -> None:
         if speed != self._speeds[i]:
             self._speeds[i] = speed
-            self.estimates[i].command(speed, when)
+            self._future.append((when, i, speed))
