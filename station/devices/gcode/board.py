@@ -237,7 +237,7 @@ class GcodeBoard:
             if estimate.rejected >= MAX_UNEXPECTED_READINGS:
                 estimate.forget()
                 events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
-            elif estimate.rejected == 4 and self.dialect == "grbl" and not self.stopping:
+            elif estimate.rejected == 3 and self.dialect == "grbl" and not self.stopping:
                 self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
         # The clock of the board may be slower or faster, so the pace of the segments follows the position.
         self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
@@ -352,13 +352,16 @@ class GcodeBoard:
         while self._planned - now <= QUEUE_S[self.dialect]:
             start = self._planned if self._planned > now else self._free + PROCESSING_S + 40 * self._byte_time
             self._planned = start + SEGMENT_S
+            before = list(self._target)
             self._accumulated += SEGMENT_S
             for i, (setup, desired) in enumerate(zip(self.setups, self._desired, strict=True)):
                 self._target[i] = min(max(self._target[i] + desired * SEGMENT_S, 0.0), setup.maximum - setup.minimum)
                 self._estimate(i, desired, start)
                 self.sent[i] = round(desired * VELOCITY_DATA)
                 self.counts[i].velocities += 1
-            if max(abs(a - b) for a, b in zip(self._target, self._last, strict=True)) >= MIN_STEPS:
+            if self._target == before:  # every moving axis is at the end of its travel
+                self._accumulated = 0.0
+            elif max(abs(a - b) for a, b in zip(self._target, self._last, strict=True)) >= MIN_STEPS:
                 data += self._line(self._motion(), "segment", now)
                 self._last, self._accumulated = list(self._target), 0.0
         return data
