@@ -1,4 +1,4 @@
-"""Planner of a G-code board: a queue of straight blocks, with constant acceleration and look-ahead to the queue's end."""
+"""Planner of a G-code board: straight blocks with constant acceleration and look-ahead to the end of the queue."""
 
 import math
 from collections import deque

@@ -40,13 +40,20 @@ class SimulatedBoard:
     """One board that moves every stage."""
 
     def __init__(
-        self, dialect: Dialect, setups: Sequence[StageSetup], true_positions: Sequence[float], homed: bool, seed: int = 0
+        self,
+        dialect: Dialect,
+        setups: Sequence[StageSetup],
+        true_positions: Sequence[float],
+        homed: bool,
+        seed: int = 0,
     ) -> None:
         self.dialect, self.time = dialect, 0.0
         self.emergency_parser = True
         self.planner = Planner(len(setups), BLOCKS[dialect])
         axes = [AxisSetup.of(s.joint, GcodeAxisFile(letter=c)) for s, c in zip(setups, LETTERS, strict=False)]
-        self.units = tuple(BoardAxis(a, self, i, at) for i, (a, at) in enumerate(zip(axes, true_positions, strict=True)))
+        self.units = tuple(
+            BoardAxis(a, self, i, at) for i, (a, at) in enumerate(zip(axes, true_positions, strict=True))
+        )
         self.mark = 7.77 if homed else 0.0
         self.offsets = [self.mark for _ in axes]
         if homed:
@@ -294,15 +301,15 @@ class SimulatedBoard:
                 logical = "".join(
                     f"{LETTERS[i]}:{self.planner.end[i] + self.offsets[i]:.2f} " for i in range(len(position))
                 )
-                steps = " ".join(
-                    f"{LETTERS[i]}:{round(p / self.units[i].setup.unit)}" for i, p in enumerate(position)
-                )
+                steps = " ".join(f"{LETTERS[i]}:{round(p / self.units[i].setup.unit)}" for i, p in enumerate(position))
                 return f"{logical}Count {steps}\nok"
             case "M115":
                 parser = int(self.emergency_parser)
                 return f"FIRMWARE_NAME:Marlin 2.1.2 (simulated)\nCap:EMERGENCY_PARSER:{parser}\nok"
             case "M92":
-                return "M92 " + " ".join(f"{LETTERS[i]}{1 / u.setup.unit:.2f}" for i, u in enumerate(self.units)) + "\nok"
+                return (
+                    "M92 " + " ".join(f"{LETTERS[i]}{1 / u.setup.unit:.2f}" for i, u in enumerate(self.units)) + "\nok"
+                )
             case "M203":
                 self._apply(own, "rates")
             case "M201":

@@ -96,6 +96,7 @@ class GcodeBoard:
         self._byte_time, self._deadline = 10.0 / (baud or BAUDS[dialect]), deadline
         self._desired = [0.0 for _ in count]  # [counts/s]
         self._target: list[float] | None = None  # end of the last segment, from each axis's minimum [counts]
+        self._last: list[float] = []  # target of the last segment that was sent [counts]
         self._accumulated = 0.0  # time since the end of the last segment that was sent [s]
         self._planned = -math.inf  # time at which the board has executed every segment [s]
         self._speeds = [0.0 for _ in count]  # of the estimates [counts/s]
@@ -155,7 +156,7 @@ class GcodeBoard:
             estimate.advance(now)
         events: list[Event] = []
         for line in self.reader.feed(data) if data else ():
-            self._take(parse(self.dialect, line, self._letters), line, events, now)
+            self._take(parse(self.dialect, line, self._letters), events, now)
         if self._request is not None and self._requested is not None:
             if now - self._requested > self._request.timeout:
                 self.cancel()
@@ -171,7 +172,7 @@ class GcodeBoard:
             self._renumber()
         return events
 
-    def _take(self, message: Message, line: str, events: list[Event], now: float) -> None:
+    def _take(self, message: Message, events: list[Event], now: float) -> None:
         if not isinstance(message, Info | Failure):
             self._unanswered = None
         match message:
@@ -237,7 +238,7 @@ class GcodeBoard:
             if estimate.rejected >= MAX_UNEXPECTED_READINGS:
                 estimate.forget()
                 events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
-            elif estimate.rejected == 3 and self.dialect == "grbl" and not self.stopping:
+            elif estimate.rejected == 1 and self.dialect == "grbl" and not self.stopping:
                 self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
         # The clock of the board may be slower or faster, so the pace of the segments follows the position.
         self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
@@ -362,17 +363,16 @@ class GcodeBoard:
             if self._target == before:  # every moving axis is at the end of its travel
                 self._accumulated = 0.0
             elif max(abs(a - b) for a, b in zip(self._target, self._last, strict=True)) >= MIN_STEPS:
-                data += self._line(self._motion(), "segment", now)
+                data += self._line(self._motion(self._target), "segment", now)
                 self._last, self._accumulated = list(self._target), 0.0
         return data
 
-    def _motion(self) -> str:
+    def _motion(self, target: Sequence[float]) -> str:
         """Return the command that reaches the target in the accumulated time."""
         words, linear, rotary = "", 0.0, 0.0
-        assert self._target is not None
         for i, setup in enumerate(self.setups):
-            change = (self._target[i] - self._last[i]) * setup.unit
-            at = (self._target[i] + setup.minimum + self.origin[i]) * setup.unit + self.offset[i]
+            change = (target[i] - self._last[i]) * setup.unit
+            at = (target[i] + setup.minimum + self.origin[i]) * setup.unit + self.offset[i]
             words += f"{setup.letter}{at:.4f}"
             if self.dialect == "marlin" and setup.letter in "ABC":
                 rotary += change * change

@@ -76,7 +76,7 @@ class GcodeState:
         else:
             marked = yield from self._set_up_marlin()
         self.homed = [
-            (marked and not self._here or (self._here and self.homed[i])) and i not in self.home_again
+            ((marked and not self._here) or (self._here and self.homed[i])) and i not in self.home_again
             for i in range(len(self.setups))
         ]
         yield from self._settle()
@@ -129,7 +129,7 @@ class GcodeState:
         self._warning = (
             ""
             if "Cap:EMERGENCY_PARSER:1" in report
-            else "the firmware has no EMERGENCY_PARSER, so a stop waits for the lines before it: build it with this option"
+            else "the firmware has no EMERGENCY_PARSER, so a stop waits for earlier lines: build it with this option"
         )
         words = " ".join((yield from self._need("M92")))
         for setup in self.setups:
@@ -170,8 +170,8 @@ class GcodeState:
 
     def _mark_marlin(self, letters: Sequence[str]) -> Script:
         yield from self._read_offsets()
-        assert self.line.reading is not None
-        pairs = zip(letters, self.line.reading.values, self.setups, strict=True)
+        values = () if self.line.reading is None else self.line.reading.values
+        pairs = zip(letters, values, self.setups, strict=True)
         yield from self._need("G92 " + " ".join(f"{c}{steps * s.unit + MARK:.4f}" for c, steps, s in pairs))
         yield from self._read_offsets()
         if any(offset != MARK for offset in self.line.offset):
@@ -180,8 +180,7 @@ class GcodeState:
     def _home_one(self, i: int) -> Script:
         setup, estimate = self.setups[i], self.line.estimates[i]
         self.homed[i] = False
-        if self._here:
-            assert self.line.reading is not None
+        if self._here and self.line.reading is not None:
             self.line.origin[i] = self._origin[i] = self.line.raw(self.line.reading)[i]
         else:
             estimate.forget(adrift=True)
