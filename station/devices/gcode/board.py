@@ -78,7 +78,8 @@ class GcodeBoard:
     """The axes of one board: sends lines and processes replies."""
 
     def __init__(self, setups: Sequence[AxisSetup], dialect: Dialect, baud: int = 0, deadline: float = DEADLINE_S):
-        self.setups, self.dialect = tuple(setups), dialect
+        self.setups = tuple(setups)
+        self.dialect: Dialect = dialect
         self.reader = LineReader()
         count = range(len(self.setups))
         #: Estimates of the positions, counted from each axis's minimum [counts].

@@ -31,7 +31,8 @@ class GcodeState:
         deadline: float,
         homing: Literal["firmware", "here"] = "firmware",
     ) -> None:
-        self.setups, self.dialect = tuple(setups), dialect
+        self.setups = tuple(setups)
+        self.dialect: Dialect = dialect
         self._baud, self._deadline, self._here = baud, deadline, homing == "here"
         self.homed = [False for _ in setups]
         self.home_again: set[int] = set()
