@@ -17,7 +17,9 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         description="Check a driver: with NAME a built-in one on simulated devices, with --config every driver that a"
         " station file names, on its devices. Each line starts with ok or FAIL; the exit status is 1 after a FAIL.",
     )  # fmt: skip
-    check.add_argument("name", nargs="?", metavar="NAME", help="zaber, zaber_ascii, cia402, aurora or netft")
+    check.add_argument(
+        "name", nargs="?", metavar="NAME", help="zaber, zaber_ascii, cia402, grbl, marlin, aurora or netft"
+    )
     check.add_argument("--config", type=Path, metavar="FILE", help="station configuration, a .toml file with [devices]")
     check.add_argument(
         "--move", action="store_true",

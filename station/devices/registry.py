@@ -21,6 +21,8 @@ from station.devices.aurora.tracker import aurora
 from station.devices.cia402.emergency_stop import cia402_emergency_stop
 from station.devices.cia402.stages import cia402
 from station.devices.config import BenchFile
+from station.devices.gcode.emergency_stop import gcode_emergency_stop
+from station.devices.gcode.stages import gcode
 from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
 from station.devices.zaber.stages import zaber
@@ -37,7 +39,7 @@ Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
-    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii, "cia402": cia402},
+    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii, "cia402": cia402, "gcode": gcode},
     "tracker": {"aurora": aurora},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
@@ -46,6 +48,7 @@ EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencySto
     "zaber": zaber_emergency_stop,
     "zaber_ascii": zaber_ascii_emergency_stop,
     "cia402": cia402_emergency_stop,
+    "gcode": gcode_emergency_stop,
 }
 
 

@@ -176,8 +176,8 @@ class TargetConfig(Strict):
     """largest change of both amplitudes, with a period of 45 s, as a fraction"""
 
 
-#: Simulated stages, by the name of their driver.
-StagesKind = Literal["zaber", "zaber_ascii", "cia402"]
+#: Simulated stages, by the name of their driver, or of the dialect of the driver `gcode`.
+StagesKind = Literal["zaber", "zaber_ascii", "cia402", "grbl", "marlin"]
 #: Kinds of devices that a bench does not have.
 Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
 
@@ -192,7 +192,7 @@ class LabConfig(Strict):
     devices: Literal["wire", "ideal"] = "wire"
     """`wire`: the devices are simulated with their wires; `ideal`: the devices have no noise, delay and wires"""
     stages: StagesKind = "zaber"
-    """simulated stages, by the name of their driver"""
+    """simulated stages, by the name of their driver, or of the dialect of the driver `gcode`"""
     plant: PlantConfig = PlantConfig()
     """parameters of the plant: its true tubes and their friction"""
     tracker: TrackerConfig = TrackerConfig()
@@ -233,7 +233,7 @@ class LabChoice(Strict):
     base: str = "gentle"
     """preset, or path of a .toml file relative to this file"""
     stages: StagesKind
-    """simulated stages, by the name of their driver"""
+    """simulated stages, by the name of their driver, or of the dialect of the driver `gcode`"""
 
     def __str__(self) -> str:
         return f"{self.base} with stages '{self.stages}'"

@@ -9,6 +9,9 @@ from station.config.robots import JointFile
 from station.control.clock import StationClock
 from station.devices.cia402.setup import DriveFile, DriveSetup
 from station.devices.cia402.stages import cia402_stages
+from station.devices.gcode.protocol import Dialect
+from station.devices.gcode.setup import LETTERS, AxisSetup, GcodeAxisFile
+from station.devices.gcode.stages import gcode_stages
 from station.devices.interfaces import Stages
 from station.devices.links.link import Link
 from station.devices.zaber.setup import PortSetup, StageSetup
@@ -17,6 +20,7 @@ from station.devices.zaber_ascii.setup import AsciiSetup, AsciiStageFile
 from station.devices.zaber_ascii.stages import ascii_stages
 from station.lab.config import StagesKind
 from station.lab.simulated_cia402 import SimulatedCanBus, SimulatedDrive
+from station.lab.simulated_gcode import SimulatedBoard
 from station.lab.simulated_zaber import Faults, SimulatedChain
 from station.lab.simulated_zaber_ascii import AsciiUnit, SimulatedAsciiChain
 from station.lab.zaber_unit import Unit, UnitKind
@@ -102,6 +106,20 @@ def _cia402(setups: Sequence[StageSetup], true_positions: Sequence[float], homed
     return SimulatedCanBus([SimulatedDrive(s, at, homed) for s, at in zip(setups, true_positions, strict=True)], seed)
 
 
+def _board(dialect: Dialect) -> StagesInLab:
+    """Return a G-code board and its driver."""
+
+    def setups_of(setups: Sequence[StageSetup]) -> list[AxisSetup]:
+        pairs = zip(setups, LETTERS, strict=False)
+        return [AxisSetup.of(setup.joint, GcodeAxisFile(letter=letter)) for setup, letter in pairs]
+
+    return StagesInLab(
+        lambda setups, at, homed, seed: SimulatedBoard(dialect, setups, at, homed, seed),
+        lambda setups, link: gcode_stages(setups_of(setups), link, dialect),
+        lambda port, clock: {"driver": "gcode", "dialect": dialect, "port": port, "deadline": clock.patience},
+    )
+
+
 STAGES: Mapping[StagesKind, StagesInLab] = {
     "zaber": StagesInLab(
         _zaber,
@@ -118,4 +136,6 @@ STAGES: Mapping[StagesKind, StagesInLab] = {
         lambda setups, link: cia402_stages([DriveSetup.of(s.joint, DriveFile(node=s.device)) for s in setups], link),
         lambda port, clock: {"driver": "cia402", "port": port, "deadline": clock.patience},
     ),
+    "grbl": _board("grbl"),
+    "marlin": _board("marlin"),
 }

@@ -158,7 +158,7 @@ class ClockFile(Strict):
         tables = {
             kind: {key: self.patience, **table}
             for kind, drivers, key in (
-                ("stages", ("zaber", "zaber_ascii", "cia402"), "deadline"),
+                ("stages", ("zaber", "zaber_ascii", "cia402", "gcode"), "deadline"),
                 ("sensors", ("netft",), "stale_after"),
             )
             if (table := getattr(bench, kind)) and table["driver"] in drivers

@@ -14,7 +14,7 @@ def check(*arguments: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
 
 
-@pytest.mark.parametrize("name", ["zaber", "zaber_ascii", "cia402", "aurora", "netft"])
+@pytest.mark.parametrize("name", ["zaber", "zaber_ascii", "cia402", "grbl", "marlin", "aurora", "netft"])
 def test_built_in_drivers_pass(name):
     done = check(name, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr

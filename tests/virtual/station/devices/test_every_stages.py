@@ -13,7 +13,7 @@ from tests.harness.stages_bench import START, StagesBench, swing
 #: Speeds of the joints in the tests [rad/s, rad/s, m/s], within the limits of the robot `paper`.
 SPEEDS = np.array([0.3, -0.3, 0.015])
 #: Largest time from a command to its effect for each driver [s].
-LATENCY = {"zaber": 0.034, "zaber_ascii": 0.018, "cia402": 0.025}
+LATENCY = {"zaber": 0.034, "zaber_ascii": 0.018, "cia402": 0.025, "grbl": 0.016, "marlin": 0.016}
 
 
 @pytest.fixture(params=list(STAGES))

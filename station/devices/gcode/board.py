@@ -1,0 +1,388 @@
+"""The host's side of a G-code board: short segments, position queries, stops and requests. Without I/O.
+
+The firmware executes motions, not velocities. So the host integrates the velocities to targets and sends one line for
+each segment of 10 ms. The board always has a few segments in its planner and never more, which makes the latency
+constant. If the host is silent, the stages stop at the end of the last segment.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from station.devices.gcode.protocol import (
+    BAUDS,
+    JOG_CANCEL,
+    QUERY,
+    RESET,
+    RESUME,
+    Alarm,
+    Busy,
+    Dialect,
+    Failure,
+    Info,
+    LineReader,
+    Message,
+    Ok,
+    Position,
+    Resend,
+    Started,
+    numbered,
+    parse,
+)
+from station.devices.gcode.setup import DEADLINE_S, VELOCITY_DATA, AxisSetup
+from station.devices.stages_on_line import AxisLost
+from station.devices.zaber.chain import LineCounts
+from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
+
+SEGMENT_S = 0.010  #: duration of one segment [s]
+#: Time that the queue lasts when the next segment is sent [s]; Marlin does not plan the running segment again.
+QUEUE_S: dict[Dialect, float] = {"grbl": 0.030, "marlin": 0.040}
+POLL_S = 0.020  #: time between two position queries [s]
+PROCESSING_S = 0.001  #: time from the end of a line to its execution; assumed [s]
+MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
+UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
+MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
+OWN_RESET_S = 3.0  #: time after a reset by the host in which its banner and alarm are expected [s]
+
+
+class Request(NamedTuple):
+    """One command; `feed` returns its answer."""
+
+    text: str
+    timeout: float = 1.0  #: [s]
+    homing: bool = False
+
+
+class Answer(NamedTuple):
+    """Result of a `Request`: the lines before `ok`, or the meaning of the error; `missing`: no reply in time."""
+
+    accepted: bool = False
+    lines: tuple[str, ...] = ()
+    error: str = ""
+    missing: bool = False
+
+
+class BoardFault(NamedTuple):
+    """Event: the board cannot go on. Every axis gets one."""
+
+    axis: int
+    text: str
+    must_home: bool
+
+
+Event = Answer | AxisLost | BoardFault
+
+
+class GcodeBoard:
+    """The axes of one board: sends lines and processes replies."""
+
+    def __init__(self, setups: Sequence[AxisSetup], dialect: Dialect, baud: int = 0, deadline: float = DEADLINE_S):
+        self.setups = tuple(setups)
+        self.dialect: Dialect = dialect
+        self.reader = LineReader()
+        count = range(len(self.setups))
+        #: Estimates of the positions, counted from each axis's minimum [counts].
+        self.estimates = [AxisEstimate(s.top, s.acceleration, s.maximum - s.minimum) for s in self.setups]
+        self.counts = [LineCounts() for _ in count]
+        self.sent = [0 for _ in count]  #: last velocity sent to each axis [velocity data]
+        self.lost: set[int] = set()  #: axes that no longer answer
+        self.stopping = False  #: whether a stop is unconfirmed
+        self.polling = False  #: whether the host queries positions
+        self.origin = [0.0 for _ in count]  #: the board's count at the coordinate 0 of each axis
+        self.offset = [0.0 for _ in count]  #: Marlin: logical coordinate minus the stepper's coordinate [unit]
+        self.state = ""  #: GRBL's last state
+        self.reading: Position | None = None  #: last reading
+        self._letters = [s.letter for s in self.setups]
+        self._byte_time, self._deadline = 10.0 / (baud or BAUDS[dialect]), deadline
+        self._desired = [0.0 for _ in count]  # [counts/s]
+        self._target: list[float] | None = None  # end of the last segment, from each axis's minimum [counts]
+        self._last: list[float] = []  # target of the last segment that was sent [counts]
+        self._accumulated = 0.0  # time since the end of the last segment that was sent [s]
+        self._planned = -math.inf  # time at which the board has executed every segment [s]
+        self._speeds = [0.0 for _ in count]  # of the estimates [counts/s]
+        self._future: deque[tuple[float, int, float]] = deque()  # speeds of the estimates that start later
+        self._free = self._next_poll = self._stopped_at = -math.inf
+        self._reset_until = self._next_stop = -math.inf
+        self._unanswered: float | None = None  # time of the oldest query without an answer [s]
+        self._waiting: deque[tuple[float, Literal["segment", "query", "request"]]] = deque()  # lines without `ok`
+        self._request: Request | None = None
+        self._requested: float | None = None
+        self._lines: list[str] = []
+        self._urgent = self._home_ended = self._killed = False
+        self._number, self._resend = 0, -1
+        self._rejections = 0
+
+    # Commands of the driver
+
+    def command(self, axis: int, speed: int) -> None:
+        """Set the velocity of an axis [velocity data]."""
+        top = self.setups[axis].top
+        self._desired[axis] = min(max(speed / VELOCITY_DATA, -top), top)
+
+    def stop(self) -> None:
+        """Empty the planner before any other command, again and again until the board is at rest."""
+        self._desired = [0.0 for _ in self.setups]
+        self.cancel()
+        if self.stopping and not self._home_ended:
+            return
+        self.stopping = self._urgent = True
+        self._killed, self._stopped_at = False, math.inf
+
+    def send_request(self, request: Request) -> None:
+        """Send one request; `feed` returns its `Answer`."""
+        self._request, self._requested, self._lines = request, None, []
+
+    def cancel(self) -> None:
+        """Cancel the pending request; a homing ends at the next stop."""
+        if self._request is not None and self._requested is not None and self._request.homing:
+            self._home_ended = True
+        self._request = None
+        self._waiting.clear()
+        self._unanswered = None
+
+    def give_up(self) -> None:
+        """Count every axis as lost, because the port is lost."""
+        self.stopping = False
+        self.lost |= set(range(len(self.setups)))
+
+    # Bytes and time in
+
+    def feed(self, data: bytes, now: float) -> list[Event]:
+        """Process bytes that have arrived by `now` [s], detect missing replies, and return events."""
+        while self._future and self._future[0][0] <= now:
+            when, i, speed = self._future.popleft()
+            self.estimates[i].command(speed, when)
+        for estimate in self.estimates:
+            estimate.advance(now)
+        events: list[Event] = []
+        for line in self.reader.feed(data) if data else ():
+            self._take(parse(self.dialect, line, self._letters), events, now)
+        if self._request is not None and self._requested is not None:
+            if now - self._requested > self._request.timeout:
+                self.cancel()
+                events.append(Answer(missing=True))
+        elif self._unanswered is not None and now - self._unanswered > self._deadline and not self.lost:
+            self.lost |= set(range(len(self.setups)))
+            self.stopping = False
+            why = f"no answer of the board for {1e3 * (now - self._unanswered):.0f} ms"
+            events += [AxisLost(i, why) for i in sorted(self.lost)]
+        if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
+            self._waiting.clear()  # a reply was damaged
+            self.counts[0].missed += 1
+            self._renumber()
+        return events
+
+    def _take(self, message: Message, events: list[Event], now: float) -> None:
+        if not isinstance(message, Info | Failure):
+            self._unanswered = None
+        match message:
+            case Ok() | Failure():
+                self._acknowledge(message, events)
+            case Position():
+                self._unanswered = None
+                self.state = message.state
+                self._read(message, events, now)
+            case Busy():
+                self._unanswered = None
+            case Resend(number):
+                self._resend = number
+            case Started(banner):
+                self._number = 0
+                if now > self._reset_until:
+                    self._break(events, f"restarted by itself (it sent '{banner}') and lost the position", True)
+            case Alarm(text):
+                if now > self._reset_until:
+                    self._break(events, f"reports: {text}", True)
+            case Info(text):
+                self._lines.append(text)
+
+    def _break(self, events: list[Event], text: str, must_home: bool) -> None:
+        self._waiting.clear()
+        self._target = None
+        events += [BoardFault(i, text, must_home) for i in range(len(self.setups))]
+
+    def _acknowledge(self, message: Ok | Failure, events: list[Event]) -> None:
+        """Assign `ok` or an error to the oldest line without one."""
+        if self.dialect == "marlin" and isinstance(message, Failure):
+            self._lines.append(message.text)  # `ok` follows
+            return
+        kind = self._waiting.popleft()[1] if self._waiting else ""
+        if kind == "request" and self._request is not None:
+            error = message.text if isinstance(message, Failure) else ""
+            answer = Answer(not error, tuple(self._lines), error)
+            self._request = None
+            events.append(answer)
+        elif kind == "segment":
+            self._rejections = self._rejections + 1 if isinstance(message, Failure) else 0
+            if isinstance(message, Failure) and self._rejections >= MAX_REJECTIONS:
+                self._break(events, f"rejects its motions: {message.text}", False)
+        self._renumber()
+
+    def _renumber(self) -> None:
+        """Continue with the number that Marlin requested, once no line is in transit; targets are absolute."""
+        if not self._waiting and self._resend >= 0:
+            self._number, self._resend = self._resend - 1, -1
+
+    def _read(self, position: Position, events: list[Event], now: float) -> None:
+        before, self.reading = self.reading, position
+        raw = self.raw(position)
+        lag = 0.0
+        for i, (estimate, setup) in enumerate(zip(self.estimates, self.setups, strict=True)):
+            was, known = estimate.position, estimate.known
+            if estimate.correct(round(raw[i] - self.origin[i]) - setup.minimum):
+                self.counts[i].readings += 1
+                if known and abs(self._speeds[i]) > 0.2 * setup.top:
+                    lag = (was - estimate.position) / self._speeds[i]
+                continue
+            self.counts[i].rejected += 1
+            if estimate.rejected >= MAX_UNEXPECTED_READINGS:
+                estimate.forget()
+                events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
+            elif estimate.rejected == 1 and self.dialect == "grbl" and not self.stopping:
+                self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
+        # The clock of the board may be slower or faster, so the pace of the segments follows the position.
+        self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
+        if self.stopping and not self._urgent and before is not None and before.values == position.values:
+            doubtful = any(estimate.doubtful for estimate in self.estimates)
+            at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
+            queued = any(kind == "segment" for _, kind in self._waiting)
+            if at_rest and not queued and now - self._stopped_at > POLL_S:
+                self.stopping, self._target = False, None
+
+    def raw(self, position: Position) -> list[float]:
+        """Return the board's counts at a reading."""
+        if self.dialect == "marlin":
+            return list(position.values)
+        return [value / setup.unit for value, setup in zip(position.values, self.setups, strict=True)]
+
+    # Bytes out
+
+    def is_free(self, now: float) -> bool:
+        """Return whether the line can transmit at `now` [s]."""
+        return self._urgent or now >= self._free - SEGMENT_S
+
+    def due(self, now: float) -> bytes:
+        """Return the bytes to send at `now` [s]: a stop first, then a request, a query, and segments."""
+        if self.lost and not self._urgent:
+            return b""
+        self._free = max(self._free, now)
+        if self.stopping and (self._urgent or now >= self._next_stop):
+            data = self._stop_bytes(now)
+        elif self._request is not None:
+            return self._request_bytes(now)
+        else:
+            data = b""
+        if (self.polling or self.stopping) and now >= self._next_poll and self._resend < 0:
+            self._next_poll = now + POLL_S
+            data += self._query(now)
+        if not self.stopping:
+            data += self._segments(now)
+        return data
+
+    def _stop_bytes(self, now: float) -> bytes:
+        first, self._urgent, self._next_stop = self._urgent, False, now + POLL_S
+        if first:
+            self._stopped_at = now
+            self.sent = [0 for _ in self.setups]
+            self._future.clear()
+            self._speeds = [math.nan for _ in self.setups]
+            for i in range(len(self.setups)):
+                self._estimate(i, 0.0, now + PROCESSING_S)
+            self._planned, self._accumulated = -math.inf, 0.0
+        data = JOG_CANCEL if self.dialect == "grbl" else b"M410\n"
+        if self.dialect == "marlin":
+            self._waiting.append((now, "query"))
+        if self._home_ended or (now - self._stopped_at > UNCONFIRMED_STOP_S and not self._killed):
+            self._killed, self._home_ended = True, False
+            if self.dialect == "grbl":
+                data += RESET
+                self._reset_until = now + OWN_RESET_S
+            elif now - self._stopped_at > UNCONFIRMED_STOP_S:
+                data += b"M112\n"
+        self._free += len(data) * self._byte_time
+        return data
+
+    def _query(self, now: float) -> bytes:
+        if self._unanswered is None:
+            self._unanswered = now
+        if self.dialect == "grbl":
+            data = RESUME + QUERY if self.state == "Hold" else QUERY
+            self._free += len(data) * self._byte_time
+        else:
+            data = self._line("M114", "query", now)
+        for i, estimate in enumerate(self.estimates):
+            self.counts[i].polls += 1
+            estimate.expect(self._free + (PROCESSING_S if self.dialect == "marlin" else 0.0))
+        return data
+
+    def _request_bytes(self, now: float) -> bytes:
+        request = self._request
+        if request is None or self._requested is not None or self._waiting:
+            return b""
+        self._requested, self._unanswered = now, None
+        self._lines.clear()
+        if request.text.startswith("M110"):
+            self._number = -1
+        return self._line(request.text, "request", now)
+
+    def _line(self, text: str, kind: Literal["segment", "query", "request"], now: float) -> bytes:
+        if self.dialect == "marlin":
+            self._number += 1
+            data = numbered(self._number, text)
+        else:
+            data = f"{text}\n".encode("ascii")
+        self._waiting.append((now, kind))
+        self._free += len(data) * self._byte_time
+        return data
+
+    def _segments(self, now: float) -> bytes:
+        """Return the segments by which the queue lasts for its time again."""
+        if not any(self._desired) and not any(self._speeds):
+            return b""
+        if not all(estimate.known for estimate in self.estimates) or self._resend >= 0:
+            return b""
+        data = b""
+        if not any(self._desired):
+            for i in range(len(self.setups)):
+                self._estimate(i, 0.0, max(self._planned, now))
+                self.sent[i] = 0
+            return b""
+        if self._target is None:
+            self._target, self._accumulated = [estimate.position for estimate in self.estimates], 0.0
+            self._last = list(self._target)
+        while self._planned - now <= QUEUE_S[self.dialect]:
+            start = self._planned if self._planned > now else self._free + PROCESSING_S + 40 * self._byte_time
+            self._planned = start + SEGMENT_S
+            before = list(self._target)
+            self._accumulated += SEGMENT_S
+            for i, (setup, desired) in enumerate(zip(self.setups, self._desired, strict=True)):
+                self._target[i] = min(max(self._target[i] + desired * SEGMENT_S, 0.0), setup.maximum - setup.minimum)
+                self._estimate(i, desired, start)
+                self.sent[i] = round(desired * VELOCITY_DATA)
+                self.counts[i].velocities += 1
+            if self._target == before:  # every moving axis is at the end of its travel
+                self._accumulated = 0.0
+            elif max(abs(a - b) for a, b in zip(self._target, self._last, strict=True)) >= MIN_STEPS:
+                data += self._line(self._motion(self._target), "segment", now)
+                self._last, self._accumulated = list(self._target), 0.0
+        return data
+
+    def _motion(self, target: Sequence[float]) -> str:
+        """Return the command that reaches the target in the accumulated time."""
+        words, linear, rotary = "", 0.0, 0.0
+        for i, setup in enumerate(self.setups):
+            change = (target[i] - self._last[i]) * setup.unit
+            at = (target[i] + setup.minimum + self.origin[i]) * setup.unit + self.offset[i]
+            words += f"{setup.letter}{at:.4f}"
+            if self.dialect == "marlin" and setup.letter in "ABC":
+                rotary += change * change
+            else:
+                linear += change * change
+        feed = 60.0 * math.sqrt(linear or rotary) / self._accumulated  # [unit/min]
+        return f"$J=G53{words}F{feed:.3f}" if self.dialect == "grbl" else f"G1{words}F{feed:.3f}"
+
+    def _estimate(self, i: int, speed: float, when: float) -> None:
+        if speed != self._speeds[i]:
+            self._speeds[i] = speed
+            self._future.append((when, i, speed))

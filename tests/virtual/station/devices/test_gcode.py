@@ -1,0 +1,48 @@
+"""What only G-code boards do: planner queue, alarms and restarts, on simulated boards in virtual time."""
+
+import pytest
+
+from station.devices.interfaces import Condition
+from station.lab.simulated_zaber import Faults
+from tests.harness.stages_bench import StagesBench
+
+SPEEDS = [0.3, -0.3, 0.015]
+
+
+@pytest.fixture(params=["grbl", "marlin"])
+def bench(paper, request) -> StagesBench:
+    return StagesBench(paper, request.param).connect().run(1.0, lambda now: SPEEDS)
+
+
+def time_to_fault(bench: StagesBench) -> float:
+    start = bench.now
+    bench.run(1.0, lambda now: SPEEDS, until=lambda: bench.stages.condition is Condition.FAULT)
+    return bench.now - start
+
+
+def test_stop_brings_every_axis_to_rest_within_100_ms_with_segments_in_the_planner(bench):
+    assert bench.simulated.planner.blocks
+    start = bench.now
+    bench.stages.stop(bench.now)
+    bench.run(0.5, until=lambda: not bench.simulated.planner.moving)
+    assert bench.now - start <= 0.1
+
+
+def test_alarm_is_a_fault_within_300_ms_with_its_meaning(bench):
+    bench.simulated.raise_alarm(1)
+    assert time_to_fault(bench) <= 0.3
+    assert "a limit switch was hit" in bench.cause or "Printer halted" in bench.cause
+
+
+def test_restart_of_the_board_is_a_fault_that_names_its_banner(bench):
+    bench.simulated.power_cycle(1)
+    bench.run(1.0, lambda now: SPEEDS)
+    assert bench.stages.condition is Condition.FAULT
+    assert not any(bench.stages.details()[name]["homed"] for name in ("outer_rotation", "inner_translation"))
+
+
+def test_cut_line_is_a_fault_within_300_ms_and_the_stages_stop_by_themselves(bench):
+    bench.simulated.faults = Faults(cut=1)
+    assert time_to_fault(bench) <= 0.3
+    assert "no answer of the board" in bench.cause
+    assert not bench.simulated.planner.moving
