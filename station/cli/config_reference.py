@@ -69,6 +69,7 @@ def reference_page() -> str:
     from station.devices.ati.nidaq import NidaqFile
     from station.devices.aurora.tracker import AuroraFile
     from station.devices.cia402.setup import Cia402File
+    from station.devices.gcode.setup import GcodeFile
     from station.devices.zaber.setup import ZaberFile
     from station.devices.zaber_ascii.setup import AsciiFile
     from station.experiments.experiment import CaseFile
@@ -83,6 +84,7 @@ def reference_page() -> str:
         ("Driver zaber", ZaberFile, ""),
         ("Driver zaber_ascii", AsciiFile, ""),
         ("Driver cia402", Cia402File, ""),
+        ("Driver gcode", GcodeFile, ""),
         ("Driver aurora", AuroraFile, ""),
         ("Driver netft", NetftFile, ""),
         ("Driver nidaq", NidaqFile, ""),

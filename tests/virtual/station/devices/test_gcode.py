@@ -34,7 +34,7 @@ def test_alarm_is_a_fault_within_300_ms_with_its_meaning(bench):
     assert "a limit switch was hit" in bench.cause or "Printer halted" in bench.cause
 
 
-def test_restart_of_the_board_is_a_fault_that_names_its_banner(bench):
+def test_restart_of_the_board_is_a_fault_after_which_no_axis_counts_as_homed(bench):
     bench.simulated.power_cycle(1)
     bench.run(1.0, lambda now: SPEEDS)
     assert bench.stages.condition is Condition.FAULT
