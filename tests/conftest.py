@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from hypothesis import settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
@@ -23,6 +24,9 @@ from tests.harness.leftovers import nothing_left_behind
 limit_to_one_thread()
 # Processes that tests start write their compiled Python files to disk, so that later processes start faster.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# Random examples have no time limit, because another program may delay any of them.
+settings.register_profile("no deadline", deadline=None)
+settings.load_profile("no deadline")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -28,8 +28,8 @@ class GcodeAxisFile(Strict):
     """change of the axis's coordinate per joint unit [1/rad or 1/m]; default: degrees for a rotation, mm for a
     translation"""
     home_at: float | None = None
-    """joint position at the axis's coordinate 0 [rad or m]; default: 0 for a rotation, and for a translation the end
-    of the travel from which the axis counts up"""
+    """joint position at the axis's coordinate 0, any number [rad or m]; default: 0 for a rotation, and for a
+    translation the end of the travel from which the axis counts up"""
     backwards: bool = False
     """whether the axis's coordinate increases when the joint's position decreases"""
     home_speed: Positive | None = None

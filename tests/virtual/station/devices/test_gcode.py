@@ -1,9 +1,12 @@
 """What only G-code boards do: planner queue, alarms and restarts, on simulated boards in virtual time."""
 
+import numpy as np
 import pytest
 
 from station.devices.interfaces import Condition
+from station.experiments.experiment import load_experiment
 from station.lab.simulated_zaber import Faults
+from tests.harness.cases import a_run
 from tests.harness.stages_bench import StagesBench
 
 SPEEDS = [0.3, -0.3, 0.015]
@@ -46,3 +49,24 @@ def test_cut_line_is_a_fault_within_300_ms_and_the_stages_stop_by_themselves(ben
     assert time_to_fault(bench) <= 0.3
     assert "no answer of the board" in bench.cause
     assert not bench.simulated.planner.moving
+
+
+CIRCLE = """
+title = "circle"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 20.0
+settling = 0.0
+trajectory = { kind = "circle", radius = 0.010, period = 20.0 }
+load = { kind = "constant", magnitude = 0.1 }
+[cases.default]
+"""
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_tip_on_a_gcode_board_follows_a_circle_under_load_within_a_millimetre(tmp_path, dialect):
+    (tmp_path / "circle.toml").write_text(f'{CIRCLE}lab = {{ stages = "{dialect}" }}\n', encoding="utf-8")
+    recording = a_run(load_experiment(str(tmp_path / "circle.toml")).cases[0])
+    assert recording.completed, recording.cause
+    desired, true = (recording.channels.of(recording.rows, group) for group in ("tip_desired", "tip_true"))
+    assert np.sqrt(np.square(np.linalg.norm(desired - true, axis=1)).mean()) <= 1.0e-3
+    assert np.ptp(true[:, :2], axis=0) == pytest.approx([0.020, 0.020], abs=0.004)
