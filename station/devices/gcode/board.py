@@ -40,6 +40,7 @@ SEGMENT_S = 0.010  #: duration of one segment [s]
 QUEUE_S: dict[Dialect, float] = {"grbl": 0.030, "marlin": 0.040}
 POLL_S = 0.020  #: time between two position queries [s]
 PROCESSING_S = 0.001  #: time from the end of a line to its execution; assumed [s]
+SPEED_MEMORY = 0.7  #: fraction of the speed at a reading that bounds the error at the next one; the queue is longer
 MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
 UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
 MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
@@ -82,8 +83,12 @@ class GcodeBoard:
         self.dialect: Dialect = dialect
         self.reader = LineReader()
         count = range(len(self.setups))
-        #: Estimates of the positions, counted from each axis's minimum [counts].
-        self.estimates = [AxisEstimate(s.top, s.acceleration, s.maximum - s.minimum) for s in self.setups]
+        #: Estimates of the positions, counted from each axis's minimum [counts]. The planner slows the axes at corners,
+        #: so the board may execute a segment later than estimated, by up to the queue.
+        self.estimates = [
+            AxisEstimate(s.top, s.acceleration, s.maximum - s.minimum, QUEUE_S[dialect], SPEED_MEMORY)
+            for s in self.setups
+        ]
         self.counts = [LineCounts() for _ in count]
         self.sent = [0 for _ in count]  #: last velocity sent to each axis [velocity data]
         self.lost: set[int] = set()  #: axes that no longer answer

@@ -21,8 +21,24 @@ MAX_JUMP = 0.5
 class AxisEstimate:
     """Estimated position of an axis [microsteps], from the velocities sent and the positions received."""
 
-    def __init__(self, top: float, acceleration: float, maximum: float) -> None:
+    def __init__(
+        self,
+        top: float,
+        acceleration: float,
+        maximum: float,
+        tolerance: float = READING_TOLERANCE_S,
+        memory: float = 0.0,
+    ) -> None:
+        """Create the estimate of an axis whose position is unknown.
+
+        Args:
+            top, acceleration, maximum: largest speed, acceleration and position, in microsteps and seconds.
+            tolerance: largest error of the time at which the unit executes a command or reads [s].
+            memory: fraction of the speed at a reading that also counts at the next reading, for units that execute
+                commands from a queue.
+        """
         self._jump = MAX_JUMP * top
+        self._tolerance, self._memory = tolerance, memory
         self.position = math.nan
         self.known = False  #: whether readings have confirmed the position; False: `position` is the last reading
         self.adrift = False  #: whether the axis moves independently of commanded velocities, as during homing
@@ -57,7 +73,7 @@ class AxisEstimate:
             self._run(when)
             if velocity is None:
                 self._sample = self.position
-                self._fastest = max(abs(self._velocity), abs(self._target))
+                self._fastest = max(abs(self._velocity), abs(self._target), self._memory * self._fastest)
             else:
                 self._target = velocity
         self._run(now)
@@ -73,7 +89,7 @@ class AxisEstimate:
                 self._doubts.clear()
             return True
         delta = reading - self._sample
-        slack = READING_TOLERANCE + READING_TOLERANCE_S * self._fastest
+        slack = READING_TOLERANCE + self._tolerance * self._fastest
         if abs(delta) > slack:
             agree = [doubt for doubt in self._doubts if abs(doubt - delta) <= slack]
             self._doubts = [*agree, delta]

@@ -58,7 +58,8 @@ duration = 20.0
 settling = 0.0
 trajectory = { kind = "circle", radius = 0.010, period = 20.0 }
 load = { kind = "constant", magnitude = 0.1 }
-[cases.default]
+[cases.feedforward]
+controller = { feedforward = true }
 """
 
 
