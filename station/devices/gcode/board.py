@@ -41,6 +41,9 @@ QUEUE_S: dict[Dialect, float] = {"grbl": 0.030, "marlin": 0.040}
 POLL_S = 0.020  #: time between two position queries [s]
 PROCESSING_S = 0.001  #: time from the end of a line to its execution; assumed [s]
 SPEED_MEMORY = 0.7  #: fraction of the speed at a reading that bounds the error at the next one; the queue is longer
+PACE_GAIN = 0.5  #: fraction of the queue's error that one reading corrects
+PACE_WEIGHT = 1e-4  #: weight of a queue's error of one segment, compared with one segment at top speed
+PATH_SEGMENTS = 32  #: number of segments that are compared with a reading; the planner has up to 16 blocks
 MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
 UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
 MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
@@ -103,6 +106,7 @@ class GcodeBoard:
         self._desired = [0.0 for _ in count]  # [counts/s]
         self._target: list[float] | None = None  # end of the last segment, from each axis's minimum [counts]
         self._last: list[float] = []  # target of the last segment that was sent [counts]
+        self._path: deque[list[float]] = deque(maxlen=PATH_SEGMENTS)  # ends of the last segments [counts]
         self._accumulated = 0.0  # time since the end of the last segment that was sent [s]
         self._planned = -math.inf  # time at which the board has executed every segment [s]
         self._speeds = [0.0 for _ in count]  # of the estimates [counts/s]
@@ -232,13 +236,11 @@ class GcodeBoard:
     def _read(self, position: Position, events: list[Event], now: float) -> None:
         before, self.reading = self.reading, position
         raw = self.raw(position)
-        lag = 0.0
+        if before is not None and before.values != position.values:  # a board at rest has no queue
+            self._follow_pace(raw, now)
         for i, (estimate, setup) in enumerate(zip(self.estimates, self.setups, strict=True)):
-            was, known = estimate.position, estimate.known
             if estimate.correct(round(raw[i] - self.origin[i]) - setup.minimum):
                 self.counts[i].readings += 1
-                if known and abs(self._speeds[i]) > 0.2 * setup.top:
-                    lag = (was - estimate.position) / self._speeds[i]
                 continue
             self.counts[i].rejected += 1
             if estimate.rejected >= MAX_UNEXPECTED_READINGS:
@@ -246,14 +248,34 @@ class GcodeBoard:
                 events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
             elif estimate.rejected == 1 and self.dialect == "grbl" and not self.stopping:
                 self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
-        # The clock of the board may be slower or faster, so the pace of the segments follows the position.
-        self._planned += 0.2 * min(max(lag, -SEGMENT_S), SEGMENT_S)
         if self.stopping and not self._urgent and before is not None and before.values == position.values:
             doubtful = any(estimate.doubtful for estimate in self.estimates)
             at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
             queued = any(kind == "segment" for _, kind in self._waiting)
             if at_rest and not queued and now - self._stopped_at > POLL_S:
                 self.stopping, self._target = False, None
+
+    def _follow_pace(self, raw: Sequence[float], now: float) -> None:
+        """Correct the time at which the queue is empty by the segment in which the board was at the reading `raw`.
+
+        The board executes segments more slowly than planned at corners and while it accelerates. Without a correction
+        its queue would fill, and the latency would grow to the length of the queue.
+        """
+        expected, best, behind = (self._planned - now) / SEGMENT_S, math.inf, 0
+        for later, target in enumerate(reversed(self._path)):
+            # The board receives only changes of some microsteps, so smaller errors mean nothing.
+            errors = (
+                max(0.0, abs(value - origin - setup.minimum - goal) - MIN_STEPS - 1.0) / (setup.top * SEGMENT_S)
+                for value, origin, setup, goal in zip(raw, self.origin, self.setups, target, strict=True)
+            )
+            # Positions of slow motions are ambiguous; then the expected segment counts.
+            cost = sum(error * error for error in errors) + PACE_WEIGHT * (later - expected) ** 2
+            if cost < best:
+                best, behind = cost, later
+        if self._path and expected > 0.0:
+            for _ in range(len(self._path) - behind - 1):
+                self._path.popleft()  # segments that the board has executed
+            self._planned += PACE_GAIN * SEGMENT_S * (behind - expected)
 
     def raw(self, position: Position) -> list[float]:
         """Return the board's counts at a reading."""
@@ -356,6 +378,7 @@ class GcodeBoard:
         if self._target is None:
             self._target, self._accumulated = [estimate.position for estimate in self.estimates], 0.0
             self._last = list(self._target)
+            self._path.clear()
         while self._planned - now <= QUEUE_S[self.dialect]:
             start = self._planned if self._planned > now else self._free + PROCESSING_S + 40 * self._byte_time
             self._planned = start + SEGMENT_S
@@ -366,6 +389,7 @@ class GcodeBoard:
                 self._estimate(i, desired, start)
                 self.sent[i] = round(desired * VELOCITY_DATA)
                 self.counts[i].velocities += 1
+            self._path.append(list(self._target))
             if self._target == before:  # every moving axis is at the end of its travel
                 self._accumulated = 0.0
             elif max(abs(a - b) for a, b in zip(self._target, self._last, strict=True)) >= MIN_STEPS:

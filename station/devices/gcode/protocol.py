@@ -96,9 +96,9 @@ class Info(NamedTuple):
 
 Message = Ok | Failure | Position | Alarm | Started | Resend | Busy | Info
 
-_NUMBERS = r"-?\d+\.\d+(?:,-?\d+\.\d+)*"
+_NUMBERS = r"-?\d{1,9}\.\d{1,9}(?:,-?\d{1,9}\.\d{1,9})*"
 _GRBL_STATUS = re.compile(rf"<([A-Z][a-z]+)(?::\d)?\|MPos:({_NUMBERS})(?:\|[A-Za-z]+:[-\w.,]*)*>")
-_MARLIN_POSITION = re.compile(r"((?:[A-Z]:-?\d+\.\d+ )+)Count ((?:[A-Z]:-?\d+ ?)+)")
+_MARLIN_POSITION = re.compile(r"((?:[A-Z]:-?\d{1,9}\.\d{1,9} )+)Count ([A-Z]:-?\d{1,9}(?: [A-Z]:-?\d{1,9})*)")
 
 
 def error_text(number: int) -> str:
