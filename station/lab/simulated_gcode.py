@@ -208,7 +208,7 @@ class SimulatedBoard:
         if not text:
             return "ok"
         if match := re.fullmatch(r"\$H([XYZABC])", text):
-            i = LETTERS.index(match[1])  # type: ignore[arg-type]
+            i = "".join(LETTERS).index(match[1])
             return self._home(i) if i < len(self.units) else "error:3"
         if text == "$$":
             for number, value in sorted(self.settings.items()):

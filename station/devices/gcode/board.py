@@ -68,7 +68,7 @@ class Answer(NamedTuple):
 
 
 class BoardFault(NamedTuple):
-    """Event: the board cannot go on. Every axis gets one."""
+    """Event: the board cannot continue. Every axis gets one."""
 
     axis: int
     text: str
