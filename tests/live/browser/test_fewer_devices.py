@@ -65,13 +65,12 @@ def test_page_leads_a_smaller_bench_from_homing_to_the_report(
     with serving(*(text for kind in missing for text in ("--without", kind)), *near_home) as station:
         station.wait_for(lambda s: s["state"] == "READY" and not s["stale"])
         with bare_page(browser, station) as page:
-            lights = page.locator("#lights").inner_text()
             for kind, name in LIGHTS.items():
-                assert (name in lights) == (kind not in missing)
+                expect(page.locator("#lights .light", has_text=name)).to_have_count(int(kind not in missing))
             open_tab(page, "devices")
             page.locator("#devices", has_text=NOTES[missing]).wait_for()
             zero = page.get_by_role("button", name="Zero the force sensors")
-            assert zero.is_hidden() == ("sensors" in missing)
+            expect(zero).to_be_visible(visible="sensors" not in missing)
             if homes:
                 home(page, station)
             circle(page, station)
@@ -83,5 +82,5 @@ def test_page_leads_a_smaller_bench_from_homing_to_the_report(
             page.get_by_role("button", name="live scene").click()
             open_tab(page, "calibrate")
             page.locator("#calibrate .card", has_text="Force sensors").wait_for()
-            assert page.locator("#calibrate .card", has_text="Force sensors").is_disabled() == bool(missing)
-            assert page.locator("#calibrate .card", has_text="Latency").is_disabled() == ("tracker" in missing)
+            expect(page.locator("#calibrate .card", has_text="Force sensors")).to_be_enabled(enabled=not missing)
+            expect(page.locator("#calibrate .card", has_text="Latency")).to_be_enabled(enabled="tracker" not in missing)

@@ -42,7 +42,7 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
     page.reload()
     wait_until_loaded(page)
     open_newest()
-    assert page.get_by_label("notes", exact=True).input_value() == "a new coil"
+    expect(page.get_by_label("notes", exact=True)).to_have_value("a new coil")
     page.get_by_text("not saved yet; kept in this browser").wait_for()
     page.get_by_role("button", name="Save notes").click()
     page.locator(".note", has_text="notes are saved").wait_for()

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from tests.harness.chromium import PATIENCE, SIZE, VISITED, press_until_sent, wait_until_current, wait_until_loaded
 from tests.harness.serving import Served
@@ -54,7 +54,7 @@ def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
         page.locator("#state", has_text="RUNNING").wait_for()
         page.keyboard.press(key)
         page.locator("#state", has_text="STOPPED").wait_for()
-        assert page.locator("dialog[open]").is_visible()
+        expect(page.locator("dialog[open]")).to_be_visible()
     station.ready()
     page.locator("#state", has_text="READY").wait_for()
     wait_until_current(page)
@@ -84,7 +84,7 @@ def test_palette_carries_out_the_action_found_by_some_letters(page: Page, statio
     page.get_by_role("button", name="Start experiment").wait_for()
     choose(page, "case fig10 feedf", "Case fig10")
     page.get_by_label("case").get_by_role("option", selected=True).wait_for(state="attached")
-    assert page.get_by_label("case").input_value() == "feedforward"
+    expect(page.get_by_label("case")).to_have_value("feedforward")
     page.get_by_role("button", name="all motions").click()
     assert station.status()["state"] == "READY"
 
@@ -94,7 +94,7 @@ def test_palette_shows_why_an_action_is_not_possible_and_does_not_carry_it_out(p
     page.keyboard.type("reset")
     page.get_by_role("option", name="not while READY").first.wait_for()
     page.keyboard.press("Enter")
-    assert page.get_by_role("combobox", name="action").is_visible()
+    expect(page.get_by_role("combobox", name="action")).to_be_visible()
     page.keyboard.press("Escape")
 
 
@@ -129,16 +129,16 @@ def test_page_title_shows_the_state_and_the_run(page: Page, station: Served) -> 
 def test_first_visit_offers_the_demo_and_a_tour_that_can_be_left(first_visit: Page, station: Served) -> None:
     page = first_visit
     page.get_by_role("button", name="Show me around").click()
-    assert "pointed-at" in str(page.locator("#stop").get_attribute("class"))
+    page.locator("#stop.pointed-at").wait_for()
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
     page.get_by_role("button", name="Skip").click()
-    assert page.locator("#welcome").count() == 0
+    expect(page.locator("#welcome")).to_have_count(0)
     page.reload()
     wait_until_loaded(page)
-    assert page.locator("#welcome").count() == 0
+    expect(page.locator("#welcome")).to_have_count(0)
 
 
 def test_tour_is_left_by_escape_at_rest_and_escape_stops_a_motion_first(first_visit: Page, station: Served) -> None:
@@ -150,13 +150,13 @@ def test_tour_is_left_by_escape_at_rest_and_escape_stops_a_motion_first(first_vi
         page.locator("#state", has_text="RUNNING").wait_for()
         page.keyboard.press(key)
         page.locator("#state", has_text="STOPPED").wait_for()
-        assert page.get_by_text("2 of 3").is_visible()
+        expect(page.get_by_text("2 of 3")).to_be_visible()
         station.ready()
         page.locator("#state", has_text="READY").wait_for()
     wait_until_current(page)
     page.keyboard.press("Escape")
     page.locator("#welcome").wait_for(state="detached")
-    assert page.locator(".pointed-at").count() == 0
+    expect(page.locator(".pointed-at")).to_have_count(0)
     assert station.status()["state"] == "READY"
 
 
@@ -202,7 +202,7 @@ def test_end_of_a_run_and_a_stop_are_notified_by_title_icon_sound_and_browser(
     page.locator("#stop").click()
     page.wait_for_function("() => noted.length === 2 && noted[1].startsWith('STOPPED: ')")
     assert page.title() == "STOPPED"
-    assert page.locator("#icon").get_attribute("href") != ready_icon
+    expect(page.locator("#icon")).not_to_have_attribute("href", ready_icon)
     context.close()
 
 

@@ -2,7 +2,7 @@
 
 import signal
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from tests.harness.chromium import bare_page, wait_until_current
 from tests.harness.contrast import CONTRAST
@@ -25,7 +25,7 @@ def test_page_shows_fault_for_a_dead_control_process_and_reset_restarts_it(page:
     page.locator("#says", has_text="signal 9").wait_for()
     station.wait_for(lambda s: s["age"] > 2.0)  # the control process sends nothing more, but Reset must stay usable
     wait_until_current(page)
-    assert page.locator("#silence").is_hidden()
+    expect(page.locator("#silence")).to_be_hidden()
     page.locator("#reset").click()
     page.locator("#state", has_text="READY").wait_for()
     page.locator("#act button", has_text="Home").wait_for()
@@ -54,7 +54,7 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
         station.process.send_signal(signal.SIGSTOP)
         try:
             page.locator("#state", has_text="NO ANSWER").wait_for()
-            assert page.locator("#now").is_visible()
+            expect(page.locator("#now")).to_be_visible()
         finally:
             station.process.send_signal(signal.SIGCONT)
         station.end()
@@ -63,6 +63,6 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
         page.locator("#next", has_text="start the station").wait_for()
         assert page.locator("#state").evaluate(CONTRAST) >= 4.5
         assert page.locator("#silence").evaluate(CONTRAST) >= 4.5
-        assert page.locator("#act button:enabled").count() == 0
+        expect(page.locator("#act button:enabled")).to_have_count(0)
         page.locator("#stop").click()
         page.locator("#alarm", has_text="Use the emergency stop").wait_for()

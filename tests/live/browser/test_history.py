@@ -3,7 +3,7 @@
 import csv
 from pathlib import Path
 
-from playwright.sync_api import Locator, Page
+from playwright.sync_api import Locator, Page, expect
 
 from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
@@ -38,7 +38,7 @@ def test_tags_title_and_star_of_a_run_are_kept_and_found(page: Page, station: Se
     page.get_by_label("search").fill("MORNING")
     page.get_by_label("which runs").select_option("starred")
     card(page, run).locator("b", has_text="★ first try").wait_for()
-    assert card(page, run).locator(".tag").all_inner_texts() == ["coil 2", "morning"]
+    expect(card(page, run).locator(".tag")).to_have_text(["coil 2", "morning"])
     page.get_by_label("search").fill("")
     page.get_by_label("which runs").select_option("")
 

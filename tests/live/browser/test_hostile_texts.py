@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from station.cli.main import main
 from tests.harness.chromium import bare_page, open_tab
@@ -68,7 +68,7 @@ def page(hostile: Served, browser: Browser) -> Iterator[Page]:
 def untouched(page: Page) -> None:
     assert page.evaluate("window.ran") is None
     for frame in page.frames:
-        assert frame.locator(".hostile").count() == 0
+        expect(frame.locator(".hostile")).to_have_count(0)
 
 
 def test_hostile_text_in_a_run_its_notes_report_and_replay_is_not_executed(hostile: Served, page: Page) -> None:
@@ -84,7 +84,7 @@ def test_hostile_text_in_a_run_its_notes_report_and_replay_is_not_executed(hosti
         page.get_by_role("button", name=what, exact=True).click()
         page.locator("#cover", has_text="this is not live").wait_for()
         inside = page.frame_locator("#cover iframe")
-        assert "top.ran = 1" in inside.locator("h1").inner_text()
+        expect(inside.locator("h1")).to_contain_text("top.ran = 1")
         untouched(page)
         page.get_by_role("button", name="live scene").click()
     page.get_by_role("button", name="all runs").click()

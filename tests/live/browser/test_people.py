@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 import viser
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -31,14 +31,14 @@ def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser
         ben.locator("#operator", has_text="Operator: Anna").wait_for()
         ben.locator(".card", has_text="Keep the tip where it is").click()
         ben.locator("#start", has_text="'Anna' is operator").wait_for()
-        assert ben.get_by_role("button", name="Start motion").is_disabled()
+        expect(ben.get_by_role("button", name="Start motion")).to_be_disabled()
         anna.locator(".card", has_text="Keep the tip where it is").click()
         press_until_sent(anna, anna.get_by_role("button", name="Start motion").click)
         ben.locator("#state", has_text="RUNNING").wait_for()
         # Every client may send STOP.
         ben.locator("#stop").click()
         anna.locator("#state", has_text="STOPPED").wait_for()
-        assert ben.locator("#reset").is_disabled()
+        expect(ben.locator("#reset")).to_be_disabled()
         ben.locator("#next", has_text="only operator 'Anna' can reset").wait_for()
         become_operator(ben, "Ben", "Take over…")
         anna.locator("#operator", has_text="Operator: Ben").wait_for()
@@ -147,7 +147,7 @@ def test_client_without_a_token_has_no_access(guarded: Served, browser: Browser)
         answer = page.goto(guarded.url)
         assert answer is not None
         assert answer.status == 401
-        assert page.locator("#stop").count() == 0
+        expect(page.locator("#stop")).to_have_count(0)
     finally:
         page.close()
 
@@ -157,7 +157,7 @@ def test_viewer_may_view_and_press_stop_but_starts_nothing(guarded: Served, brow
     guarded.ready()
     with bare_page(browser, guarded, f"?token={viewer}") as page:
         assert "token" not in page.url
-        assert page.locator("#operator-act").is_hidden()
+        expect(page.locator("#operator-act")).to_be_hidden()
         page.locator(".card", has_text="Keep the tip where it is").click()
         page.locator("#start", has_text="viewers cannot start").wait_for()
         assert guarded.post("/api/start", HOLD).status_code == 202

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from station.cli.main import main
+from tests.harness.waiting import until
 
 RUN = """
 title = "player"
@@ -69,16 +70,16 @@ def clock(page: Page) -> float:
 
 
 def test_replay_player_starts_paused_with_reduced_motion_and_labels_its_contents(at_start: Page) -> None:
-    assert at_start.locator("#play").inner_text() == "Play"
-    assert clock(at_start) == 0.0
-    assert at_start.locator("#origin").inner_text() == "simulated bench"
+    expect(at_start.locator("#play")).to_have_text("Play")
+    until(lambda: clock(at_start) == 0.0)
+    expect(at_start.locator("#origin")).to_have_text("simulated bench")
     legend = at_start.locator("#legend").inner_text()
     for name in ("inner tube", "outer tube", "desired tip", "measured tip", "true tip", "force"):
         assert name in legend
     numbers = at_start.locator("#numbers").inner_text()
     for name in ("tip, measured", "error, true", "force", "inner translation", "mm", "deg", "N"):
         assert name in numbers
-    assert at_start.locator("#problem").is_hidden()
+    expect(at_start.locator("#problem")).to_be_hidden()
 
 
 def test_replay_player_draws_the_robot_in_its_colours(at_start: Page) -> None:
@@ -111,15 +112,15 @@ def test_keys_change_the_time_and_the_picture_of_the_replay_player(at_start: Pag
     page = at_start
     before = picture(page)
     page.keyboard.press("ArrowRight")
-    assert clock(page) == pytest.approx(0.04)
+    until(lambda: clock(page) == pytest.approx(0.04))
     page.keyboard.press("Shift+ArrowRight")
-    assert clock(page) == pytest.approx(1.04)
+    until(lambda: clock(page) == pytest.approx(1.04))
     page.keyboard.press("End")
-    assert clock(page) == pytest.approx(1.96, abs=0.05)
-    assert (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 200
+    until(lambda: clock(page) == pytest.approx(1.96, abs=0.05))
+    until(lambda: (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 200)
     page.keyboard.press("Home")
-    assert clock(page) == 0.0
-    assert np.abs(picture(page) - before).max() < 3.0
+    until(lambda: clock(page) == 0.0)
+    until(lambda: np.abs(picture(page) - before).max() < 3.0)
 
 
 def test_space_key_plays_a_replay_to_its_end_and_stops_there(at_start: Page) -> None:
@@ -128,36 +129,36 @@ def test_space_key_plays_a_replay_to_its_end_and_stops_there(at_start: Page) -> 
     speed.select_option("0.1")  # slowly, so that the replay has not ended before the second press on a busy computer
     page.locator("#scene").focus()
     page.keyboard.press("Space")
-    assert page.locator("#play").inner_text() == "Pause"
+    expect(page.locator("#play")).to_have_text("Pause")
     page.keyboard.press("Space")
-    assert page.locator("#play").inner_text() == "Play"
+    expect(page.locator("#play")).to_have_text("Play")
     speed.select_option("5")
     page.locator("#scene").focus()
     page.keyboard.press("Space")
     page.wait_for_function("() => Number(document.querySelector('#time').value) > 47")
     page.locator("#play", has_text="Play").wait_for()
-    assert clock(page) > 1.9
+    until(lambda: clock(page) > 1.9)
     speed.select_option("0.1")
     page.locator("#play").click()  # the player starts again from the first frame
-    assert clock(page) < 1.0
+    until(lambda: clock(page) < 1.0)
     page.keyboard.press("Space")
-    assert page.locator("#play").inner_text() == "Play"
+    expect(page.locator("#play")).to_have_text("Play")
 
 
 def test_slider_mouse_and_case_change_the_picture_of_the_replay_player(at_start: Page) -> None:
     page = at_start
     page.locator("#time").fill("25")
-    assert clock(page) == pytest.approx(1.0)
+    until(lambda: clock(page) == pytest.approx(1.0))
     before = picture(page)
     page.mouse.move(600, 300)
     page.mouse.down()
     page.mouse.move(760, 340, steps=4)
     page.mouse.up()
-    assert (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 500
+    until(lambda: (np.abs(picture(page) - before).max(axis=-1) > 40).sum() > 500)
     text = page.locator("#numbers").inner_text()
     page.locator("#case").select_option("two")
-    assert clock(page) == pytest.approx(1.0)
-    assert page.locator("#numbers").inner_text() != text
+    until(lambda: clock(page) == pytest.approx(1.0))
+    expect(page.locator("#numbers")).not_to_have_text(text)
 
 
 def test_replay_player_shows_the_numbers_of_the_recording(at_start: Page) -> None:

@@ -77,7 +77,7 @@ def test_motion_is_added_to_the_queue_as_often_as_the_form_says(page: Page, stat
     repeat = page.get_by_label("repetitions in the queue")
     repeat.fill("51")
     page.get_by_role("button", name="Add to queue").click()
-    assert repeat.evaluate("field => !field.validity.valid")
+    repeat.and_(page.locator(":invalid")).wait_for()
     assert entries(station) == []
     repeat.fill("3")
     page.get_by_role("button", name="Add to queue").click()

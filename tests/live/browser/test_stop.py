@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from tests.harness.chromium import PATIENCE, open_tab, press_until, wait_until_current
 from tests.harness.serving import Served
@@ -82,7 +82,7 @@ def test_stop_button_and_state_are_usable_under_every_dialog(
     for press in (page.locator("#stop").click, lambda: page.keyboard.press("Shift+Space")):
         press()
         page.locator("#state", has_text="STOPPED").wait_for()
-        assert question.is_visible()
+        expect(question).to_be_visible()
         station.ready()
         page.locator("#state", has_text="READY").wait_for()
     wait_until_current(page)
@@ -119,7 +119,7 @@ def test_stop_is_repeated_until_acknowledged_and_the_page_reports_it(station: Se
         page.context.set_offline(False)
     station.wait_for(lambda s: s["state"] == "STOPPED")
     page.locator(".note.good", has_text="STOP was accepted: acknowledged after").wait_for()
-    assert page.locator("#alarm").is_hidden()
+    expect(page.locator("#alarm")).to_be_hidden()
 
 
 @pytest.mark.parametrize("press", ["click", "Shift+Space", "Escape"])
@@ -138,7 +138,7 @@ def test_stop_works_while_the_page_has_no_data(station: Served, page: Page, pres
     finally:
         page.unroute("**/api/status")
     page.locator("#state", has_text="STOPPED").wait_for()
-    assert page.locator("#alarm").is_hidden()
+    expect(page.locator("#alarm")).to_be_hidden()
 
 
 def test_escape_key_in_the_page_stops_a_motion(station: Served, page: Page) -> None:
@@ -160,7 +160,7 @@ def test_shift_space_in_a_text_box_types_a_space_at_rest_and_stops_a_motion(stat
     search.fill("A")
     wait_until_current(page)
     search.press("Shift+Space")
-    assert search.input_value() == "A "
+    expect(search).to_have_value("A ")
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     assert station.status()["state"] == "RUNNING"

@@ -85,11 +85,11 @@ def test_free_motion_form_has_units_and_bounds_and_runs_as_set(page: Page, stati
     tab(page, "start")
     page.locator(".card", has_text="Move the tip along a circle").click()
     radius = page.locator("#start").get_by_label("radius")
-    assert page.locator("#start").get_by_text("mm 0 … 100").count() == 1
+    expect(page.locator("#start").get_by_text("mm 0 … 100")).to_have_count(1)
     picture(page, "free_motion")
     radius.fill("1000")
     page.get_by_role("button", name="Start motion").click()
-    assert radius.evaluate("field => !field.validity.valid")
+    radius.and_(page.locator(":invalid")).wait_for()
     assert station.status()["state"] == "READY"
     radius.fill("4")
     page.locator("#start").get_by_label("duration").fill("30")
@@ -190,11 +190,11 @@ def test_devices_tab_shows_details_and_offers_homing_only_after_the_path_is_conf
     page.locator(".note.good", has_text="read zero").first.wait_for()
     page.locator("#devices").get_by_role("button", name="Home…").click()
     dialog = page.get_by_role("dialog")
-    assert dialog.get_by_role("button", name="Home", exact=True).is_disabled()
+    expect(dialog.get_by_role("button", name="Home", exact=True)).to_be_disabled()
     picture(page, "home")
     # test_fewer_devices.py homes a robot that starts near its home sensors.
     dialog.get_by_role("checkbox").check()
-    assert dialog.get_by_role("button", name="Home", exact=True).is_enabled()
+    expect(dialog.get_by_role("button", name="Home", exact=True)).to_be_enabled()
     dialog.get_by_role("button", name="Cancel").click()
     assert station.status()["state"] == "READY"
 
@@ -232,7 +232,7 @@ def test_plots_of_the_page_can_be_chosen_paused_and_zoomed(page: Page, station: 
     page.mouse.down()
     page.mouse.move(box["x"] + 300, box["y"] + 60)
     page.mouse.up()
-    assert force.evaluate(pixels) != still
+    until(lambda: force.evaluate(pixels) != still)
     page.get_by_role("button", name="Whole time").click()
     page.get_by_role("button", name="Resume").click()
     until(lambda: force.evaluate(pixels) != still)
@@ -276,7 +276,7 @@ def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station:
     page.get_by_role("button", name="Compare two").click()
     page.locator(".result svg.curve").nth(1).wait_for()
     # the curves of both runs are in one diagram
-    assert page.locator(".result svg.curve").first.locator("polyline").count() == 2
+    expect(page.locator(".result svg.curve").first.locator("polyline")).to_have_count(2)
     assert page.locator("#comparison tr").count() > 5
     picture(page, "compare")
     page.get_by_role("button", name="all runs").click()
@@ -310,8 +310,8 @@ def test_keyboard_reaches_every_control_of_the_page(page: Page, station: Served)
     for names in (("jog", "plots", "runs", "bench", "start"), ("calibrate", "faults", "devices")):
         for name in names:
             page.keyboard.press("ArrowRight")
-            assert page.locator(f"#{name}").is_visible()
-            assert page.evaluate("document.activeElement.id") == f"tab-{name}"
+            expect(page.locator(f"#{name}")).to_be_visible()
+            expect(page.locator(f"#tab-{name}")).to_be_focused()
         open_tab(page, "devices")
     open_tab(page, "start")
     page.locator("#stop").focus()

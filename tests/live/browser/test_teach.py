@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
@@ -132,7 +132,7 @@ def test_waypoint_table_is_created_and_changed_by_keyboard_only(teach: Page) -> 
         teach.keyboard.press("Control+A")
         teach.keyboard.type(text)
         teach.keyboard.press("Tab")
-    assert teach.evaluate("document.activeElement.getAttribute('aria-label')") == "waypoint 2 up"
+    expect(teach.get_by_label("waypoint 2 up")).to_be_focused()
     teach.keyboard.press("Enter")
     assert table(teach) == [[5.0, 0.0, 6.0, 0.0], [9.0, 0.0, 4.0, 0.0]]
 
@@ -140,13 +140,13 @@ def test_waypoint_table_is_created_and_changed_by_keyboard_only(teach: Page) -> 
 def test_first_unreachable_waypoint_is_marked_with_the_reason(teach: Page) -> None:
     take(teach, [*POINTS, [30, 0, 0.12, 0]])
     says(teach, "✗ the tip does not reach waypoint 4")
-    assert teach.locator("tr.place.bad td").first.inner_text() == "4"
-    assert "waypoints cannot be followed: at" in teach.locator("tr.why").inner_text()
-    assert " m " not in teach.locator("tr.why").inner_text()  # the message uses the page's unit mm
+    expect(teach.locator("tr.place.bad td").first).to_have_text("4")
+    expect(teach.locator("tr.why")).to_contain_text("waypoints cannot be followed: at")
+    expect(teach.locator("tr.why")).not_to_contain_text(" m ")  # the message uses the page's unit mm
     teach.get_by_label("waypoint 4 time s").fill("3")
     teach.get_by_label("waypoint 4 time s").press("Tab")
     teach.locator("tr.why", has_text="must be later than the previous row's 8 s").wait_for()
-    assert teach.get_by_role("button", name="Start motion").is_disabled()
+    expect(teach.get_by_role("button", name="Start motion")).to_be_disabled()
 
 
 def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> None:
@@ -168,7 +168,7 @@ def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teac
     save = teach.get_by_role("button", name="Save", exact=True)
     name.fill("../up")
     save.click()
-    assert name.evaluate("field => !field.validity.valid")
+    name.and_(teach.locator(":invalid")).wait_for()
     name.fill("taught_here")
     save.click()
     teach.locator(".note.good", has_text="experiments/taught_here.toml").wait_for()

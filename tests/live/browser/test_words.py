@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, Route
+from playwright.sync_api import Page, Route, expect
 
 from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
@@ -39,10 +39,10 @@ def test_long_fault_message_is_shown_completely(page: Page, says: Callable[..., 
     try:
         text = page.locator("#says")
         page.locator("#state", has_text="FAULT").wait_for()
-        assert text.inner_text() == "; ".join(axes)
+        expect(text).to_have_text("; ".join(axes))
         assert text.evaluate("box => box.scrollHeight <= box.clientHeight + 1")
-        assert page.locator("#reset").is_visible()
-        assert page.locator("#tab-bench").is_visible()
+        expect(page.locator("#reset")).to_be_visible()
+        expect(page.locator("#tab-bench")).to_be_visible()
     finally:
         page.set_viewport_size({"width": 1280, "height": 720})
 
@@ -62,7 +62,7 @@ def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Pag
     page.locator("#act").get_by_role("button", name="Connect").wait_for()
     says()
     page.locator("#act").get_by_role("button", name="Choose a motion").click()
-    assert page.locator("#start").is_visible()
+    expect(page.locator("#start")).to_be_visible()
     page.get_by_role("button", name="all motions").click()
 
 
@@ -94,7 +94,7 @@ def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: 
     before = page.evaluate(first)
     page.reload()
     page.locator("#state", has_text="READY").wait_for()
-    assert page.locator("#plots").is_visible()
+    expect(page.locator("#plots")).to_be_visible()
     assert page.evaluate(first) == pytest.approx(before, abs=1e-6)
     page.wait_for_function(
         f"() => import('/static/page/telemetry.js').then(({{samples}}) => samples.at(-1).time > {before} + 1)"

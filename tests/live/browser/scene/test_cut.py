@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 from tests.harness.chromium import chromium, scene_page, wait_until_current
 from tests.harness.relay import Relay, relayed
@@ -35,7 +35,7 @@ def test_disconnected_scene_is_reported_and_reconnects_while_stop_keeps_working(
     page, notice = cut_page, cut_page.locator("#scene-cut")
     page.locator("#state", has_text="READY").wait_for()
     scenes = wire.scenes
-    assert notice.is_hidden()
+    expect(notice).to_be_hidden()
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
     wire.cut()

@@ -1,11 +1,12 @@
 """The page with its scene: displayed contents and draggable handles."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
-from playwright.sync_api import FrameLocator, Page, Response
+from playwright.sync_api import FrameLocator, Page, Response, expect
 
 from station.config.palette import CONTACT
 from station.config.robots import load_robot
@@ -56,9 +57,9 @@ def test_page_shows_the_station_state_and_every_device(page: Page) -> None:
     names = [light.inner_text().partition(":")[0].strip() for light in lights.all()]
     assert names == ["stages", "tracker", "force sensors"]
     assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
-    assert "nothing is wrong" in str(lights.first.get_attribute("title"))
-    assert "500 Hz" in page.locator("#loop").inner_text()
-    assert "µs" in str(page.locator("#loop").get_attribute("title"))
+    expect(lights.first).to_have_attribute("title", re.compile("nothing is wrong"))
+    expect(page.locator("#loop")).to_contain_text("500 Hz")
+    expect(page.locator("#loop")).to_have_attribute("title", re.compile("µs"))
 
 
 def test_scene_has_a_legend_with_units(page: Page) -> None:
@@ -83,7 +84,7 @@ def test_running_robot_moves_in_the_scene_and_in_the_status(page: Page, station:
     station.wait_for(lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before) > 5.0)
     until(lambda: changed(first, pixels(page)) > 300 + 2 * min(noise))
     assert state(page) == "RUNNING"
-    assert "left of 1:00" in page.locator("#run-left").inner_text()
+    expect(page.locator("#run-left")).to_contain_text("left of 1:00")
     picture(page, "running")
 
 
@@ -212,7 +213,7 @@ def test_target_handle_is_dragged_and_checked_and_the_tip_reaches_it(
         tip = np.array(target(station)["position"])
         drag_target(page, station, 0, -0.13)
         page.locator("#target-says", has_text="✗").wait_for()
-        assert page.locator("#go").is_disabled()
+        expect(page.locator("#go")).to_be_disabled()
         far = np.array(target(station)["position"])
         assert far[0] - tip[0] < -0.1
         assert np.abs(far - tip)[1:].max() < 1e-6
