@@ -26,7 +26,7 @@ def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page
         page.wait_for_function(NUMBER, arg=cell)
     page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
     station.post("/api/stop")
-    page.locator("#ended", has_text="stopped · error at most").wait_for()
+    page.locator("#ended", has_text="ended early · error at most").wait_for()
     page.wait_for_function(EMPTY, arg=ERROR)
     page.locator("#ended").get_by_role("button", name="Result").click()
     page.locator("#runs .result", has_text="largest").wait_for()

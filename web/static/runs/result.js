@@ -3,6 +3,8 @@ import { dateTime, make, request, timeOfDay } from "../page/station.js";
 import { curve, sparkline } from "../page/chart.js";
 
 export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
+/** Outcomes in words; a run that ends in HOLD or FAULT has the outcome "stopped" too. */
+export const outcomeOf = (run) => (run.label === "stopped" ? "ended early" : run.label);
 const AGAINST = { true: "the true tip of the virtual lab", measured: "the tracker" };
 const MAX_LISTED_NUMBERS = 12; // longer lists are shown by their length
 
@@ -23,7 +25,7 @@ export function errorSummary(run) {
 }
 
 /** Return the outcome of a run and its cause. */
-export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.cause === "" ? run.label : run.cause.startsWith(run.label) ? run.cause : `${run.label}: ${run.cause}`}`;
+export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.cause === "" ? outcomeOf(run) : run.cause.startsWith(run.label) ? run.cause : `${outcomeOf(run)}: ${run.cause}`}`;
 
 function numbers(run) {
   const cases = Object.entries(run.outcomes), many = cases.length > 1;

@@ -1,7 +1,7 @@
 // History: recorded runs by day with their errors; title, star, tags, notes, replay, report, export, comparison, deletion.
 import { $, button, confirm, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { head, isOpen, onTab, openTab } from "../page/tabs.js";
-import { address, card, comparison, errorSummary, flat, folded, readable, SHAPES, thumbnail } from "./result.js";
+import { address, card, comparison, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
 
 const date = (seconds) => new Date(1000 * seconds);
 const day = (seconds) => date(seconds).toLocaleDateString(undefined, { weekday: "long", year: "numeric", month: "long", day: "numeric" });
@@ -21,7 +21,7 @@ const titleOf = (run) => run.title || run.experiment || run.id;
 
 const options = (all) => all.map(([value, text]) => make("option", { value }, text));
 const search = make("input", { type: "text", placeholder: "title, tag, cause or notes", "aria-label": "search", style: "flex:1 1 120px" });
-const label = make("select", { "aria-label": "which runs" }, ...options([["", "all"], ["starred", "★ starred"], ...Object.keys(SHAPES).map((one) => [one, one]), ["deleted", "deleted"]]));
+const label = make("select", { "aria-label": "which runs" }, ...options([["", "all"], ["starred", "★ starred"], ...Object.keys(SHAPES).map((one) => [one, outcomeOf({ label: one })]), ["deleted", "deleted"]]));
 const order = make("select", { "aria-label": "order" }, ...options(Object.keys(ORDERS).map((one) => [one, one])));
 const compare = button("Compare two", async () => {
   const runs = await Promise.all([...chosen].map((id) => request("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
@@ -73,7 +73,7 @@ function describe(run) {
   const clock = order.value === "newest" ? time(run.started) : date(run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "short" });
   return make("div", {},
     make("b", {}, run.starred ? `★ ${titleOf(run)}` : titleOf(run)),
-    make("span", {}, `${SHAPES[run.label] ?? "○"} ${run.label} · ${clock} · ${size(run.size)}`),
+    make("span", {}, `${SHAPES[run.label] ?? "○"} ${outcomeOf(run)} · ${clock} · ${size(run.size)}`),
     run.tags.length === 0 ? null : make("span", {}, ...run.tags.map((tag) => make("i", { className: "tag" }, tag))),
     run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`));
 }
