@@ -50,6 +50,8 @@ class RigOut(Strict):
     virtual: bool
     """true: the rig is a virtual lab, which accepts simulated loads and device faults"""
     joints: tuple[JointOut, ...]
+    can_track_target: bool
+    """true: the tracker can measure a moving target, which motions of kind `follow` need"""
     working_pose: Mapping[str, float] | None
     """pose to which the robot moves after homing [rad or m]; null: the robot stays at the homing pose"""
     tubes: tuple[str, ...]
@@ -188,6 +190,7 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
                 )
                 for joint in bench.robot.joints
             ),
+            can_track_target=bench.can_track_target,
             working_pose=bench.robot.working_pose,
             tubes=tuple(tube.name for tube in bench.robot.tubes),
             max_force=force.newton,

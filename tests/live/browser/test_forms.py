@@ -47,3 +47,12 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
     page.get_by_role("button", name="Save notes").click()
     page.locator(".note", has_text="notes are saved").wait_for()
     expect(page.get_by_text("not saved yet")).to_have_count(0)
+
+
+def test_page_refuses_to_follow_a_target_that_no_device_measures(page: Page, station: Served) -> None:
+    assert station.rest.get("/api/rig").json()["can_track_target"] is False
+    motion(page, "Not possible here: no target is measured")
+    expect(page.locator("#start form b").first).to_have_text("follow")
+    page.locator("#start form", has_text="Start the station with --lab breathing").wait_for()
+    expect(page.get_by_role("button", name="Start motion")).to_be_disabled()
+    page.get_by_role("button", name="all motions").click()

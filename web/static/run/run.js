@@ -18,6 +18,7 @@ const INITIAL_VALUES = {
 };
 const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
 const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
+const NO_TARGET = "Not possible here: no target is measured. Start the station with --lab breathing, or give the tracker a second coil.";
 /** Time for which the tip stays at the last waypoint [s]. */
 const FINAL_PAUSE_S = 3;
 /** If each joint is at most this far from its start position, the start needs no confirmation [rad, m]. */
@@ -49,6 +50,8 @@ async function startRun(body, shownWarnings = []) {
   for (const text of answer?.warnings ?? []) if (!shownWarnings.includes(text)) note(`started, but ${text}`);
 }
 
+const missingTarget = (kind) => (kind === "follow" && !rig.can_track_target ? NO_TARGET : "");
+
 async function overview() {
   const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
   const experiments = make("div", {}, make("p", { className: "dim" }, "loading …"));
@@ -57,7 +60,7 @@ async function overview() {
     experiments,
     make("h3", {}, "Free motions, from the current pose"),
     make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
-      card(kind.replaceAll("_", " "), [sentence(schema)], () => motion(kind, schema, all))),
+      card(kind.replaceAll("_", " "), [sentence(schema), missingTarget(kind)], () => motion(kind, schema, all))),
     // The API description contains StreamAgreement only if the gateway accepts targets.
     all.StreamAgreement && card("external target", [STREAM_DESCRIPTION], () => streamForm(all))),
   );
@@ -171,7 +174,7 @@ function motion(kind, schema, all, values = {}) {
   const control = controllerForm(all, values.controller);
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
   const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
-  blockedReason = "";
+  blockedReason = missingTarget(kind);
   const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
   open(kind.replaceAll("_", " "), [make("p", {}, sentence(schema)),
     make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
