@@ -6,9 +6,10 @@ All of them are polled without threads.
 import contextlib
 import os
 import re
+import select
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,10 +40,28 @@ class AddressInUse(CtrError):
     """An address or port is not available to a simulated device."""
 
 
+class Readable:
+    """The files with unread data, found by one system call; an endpoint tries no read that would find nothing.
+
+    Before the first `wait` every file counts as readable.
+    """
+
+    def __init__(self) -> None:
+        self._found: Container[int] | None = None
+
+    def wait(self, files: Iterable[int], timeout: float) -> None:
+        """Wait until one of the file descriptors has unread data, or for `timeout` [s]."""
+        self._found = select.select(list(files), [], [], timeout)[0]
+
+    def __contains__(self, file: int) -> bool:
+        return self._found is None or file in self._found
+
+
 class TcpDeviceEnd:
     """The device's end of a serial line by TCP. Like a serial port it serves one program at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, readable: Readable | None = None) -> None:
+        self._readable = readable or Readable()
         self._server = socket.create_server((HOST, 0))
         self._server.setblocking(False)
         self._host: socket.socket | None = None
@@ -57,7 +76,8 @@ class TcpDeviceEnd:
     def read(self) -> bytes:
         """Return the bytes that the host has written; empty without a host."""
         data = b""
-        while self._host is not None:
+        arrived = self._host is not None and self._host.fileno() in self._readable
+        while arrived and self._host is not None:
             try:
                 part = self._host.recv(MAX_READ_BYTES - len(data))
             except BlockingIOError:
@@ -70,7 +90,8 @@ class TcpDeviceEnd:
             data += part
             if len(data) >= MAX_READ_BYTES:
                 return data  # read the remaining bytes at the next poll, and accept the next host only then
-        self._admit()
+        if self._server.fileno() in self._readable:
+            self._admit()
         return data
 
     def write(self, data: bytes) -> None:
@@ -166,8 +187,9 @@ class PtyDeviceEnd:
 class UdpDeviceEnd:
     """The box's port on a network."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, readable: Readable | None = None) -> None:
         """Open the port; port 0 selects any free port. Raises AddressInUse."""
+        self._readable = readable or Readable()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -177,9 +199,16 @@ class UdpDeviceEnd:
             raise AddressInUse(f"udp://{host}:{port} is not available: {error.strerror}") from None
         self.port: int = self._socket.getsockname()[1]
 
+    @property
+    def files(self) -> list[int]:
+        """Return the file descriptor whose data the server waits for."""
+        return [self._socket.fileno()]
+
     def receive(self) -> list[tuple[bytes, Address]]:
         """Return the received datagrams; errors of hosts that have gone are ignored."""
         found: list[tuple[bytes, Address]] = []
+        if self._socket.fileno() not in self._readable:
+            return found
         for _ in range(MAX_DATAGRAMS):
             try:
                 found.append(self._socket.recvfrom(65536))
@@ -211,12 +240,14 @@ class _PageRequest(NamedTuple):
 class PageServer:
     """An HTTP server for one page, with the necessary subset of HTTP."""
 
-    def __init__(self, host: str, port: int, page: Callable[[], bytes | None]) -> None:
+    def __init__(
+        self, host: str, port: int, page: Callable[[], bytes | None], readable: Readable | None = None
+    ) -> None:
         """Open the port; port 0 selects any free port. Raises AddressInUse.
 
         `page` is called for each request; the server does not answer if it returns None.
         """
-        self._page = page
+        self._page, self._readable = page, readable or Readable()
         self._connections: list[_PageRequest] = []
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -229,13 +260,19 @@ class PageServer:
             raise AddressInUse(f"http://{host}:{port} is not available: {error.strerror}") from None
         self.port: int = self._socket.getsockname()[1]
 
+    @property
+    def files(self) -> list[int]:
+        """Return the file descriptor whose connections the server waits for."""
+        return [self._socket.fileno()]
+
     def poll(self) -> None:
         """Serve the present connections without waiting."""
-        with contextlib.suppress(OSError):
-            while len(self._connections) < MAX_CONNECTIONS:
-                connection, _ = self._socket.accept()
-                connection.setblocking(False)
-                self._connections.append(_PageRequest(connection, bytearray(), bytearray(), [0]))
+        if self._socket.fileno() in self._readable:
+            with contextlib.suppress(OSError):
+                while len(self._connections) < MAX_CONNECTIONS:
+                    connection, _ = self._socket.accept()
+                    connection.setblocking(False)
+                    self._connections.append(_PageRequest(connection, bytearray(), bytearray(), [0]))
         if self._connections:
             self._connections = [connection for connection in self._connections if self._serve(connection)]
 

@@ -6,10 +6,9 @@ network, which sends datagrams by UDP and its configuration page by HTTP. One lo
 
 import contextlib
 import math
-import select
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -23,7 +22,7 @@ from station.control.realtime import freeze_garbage_collection, request_fifo
 from station.devices.config import BenchFile
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
-from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, TcpDeviceEnd, UdpDeviceEnd
+from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, Readable, TcpDeviceEnd, UdpDeviceEnd
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.simulated_stages import STAGES
@@ -84,23 +83,25 @@ class LabServer:
             AddressInUse: another program has a given port.
             PoseError, NoSolution: the plant (simulated real robot) has no equilibrium shape at `positions`.
         """
+        self.readable = Readable()  #: files with unread data, found once in each cycle
         with contextlib.ExitStack() as opened:
 
             def line(name: str) -> PtyDeviceEnd | TcpDeviceEnd:
-                return PtyDeviceEnd(None if folder is None else folder / name) if pty else TcpDeviceEnd()
+                return PtyDeviceEnd(None if folder is None else folder / name) if pty else TcpDeviceEnd(self.readable)
 
             self._lines = (line(config.stages), line("aurora"))
             for end in self._lines:
                 opened.callback(end.close)
             boxes: list[UdpDeviceEnd] = []
             for number in range(len(robot.tubes)):
-                boxes.append(UdpDeviceEnd(HOST, netft_port + number if netft_port else 0))
+                boxes.append(UdpDeviceEnd(HOST, netft_port + number if netft_port else 0, self.readable))
                 opened.callback(boxes[-1].close)
             self.lab = SimulatedBench(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)), homed)
             self._pages: list[PageServer] = []
             for box in self.lab.boxes:
-                self._pages.append(PageServer(HOST, 0, box.page))
+                self._pages.append(PageServer(HOST, 0, box.page, self.readable))
                 opened.callback(self._pages[-1].close)
+            self._ends = (*self._lines, *boxes, *self._pages)
             self._opened = opened.pop_all()
         self.clock = clock
         self.start_time = clock.now()  #: time of the clock at the lab's time 0 [s]
@@ -128,8 +129,10 @@ class LabServer:
         """Close all endpoints."""
         self._opened.close()
 
-    def run(self, stopped: Callable[[], bool]) -> None:
+    def run(self, stopped: Callable[[], bool], files: Iterable[int] = ()) -> None:
         """Run the lab in the clock's time until `stopped` returns true; it is called in each cycle.
+
+        `files`: further file descriptors for `readable`; their data end the wait for the next cycle, too.
 
         A robot that cannot follow its stages is reported on stderr.
         """
@@ -138,8 +141,8 @@ class LabServer:
             wait = max(0.0, start + due - clock.now())
             if early:  # sleep for the rest of the period, because a flood of bytes must not use a whole processor
                 clock.sleep(wait)
-            else:
-                select.select([file for line in self._lines for file in line.files], [], [], clock.real(wait))
+                wait = 0.0
+            self.readable.wait((*files, *(file for end in self._ends for file in end.files)), clock.real(wait))
             now = clock.now() - start
             early = now < due
             self.lab.advance(now)

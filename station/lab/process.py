@@ -82,7 +82,7 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
     be_punctual(bench.fifo)
     with lab:
         pipe.send(lab.endpoints)
-        lab.run(_LabClient(lab, ring, pipe, parent).poll)
+        lab.run(_LabClient(lab, ring, pipe, parent).poll, (pipe.fileno(),))
     ring.close(remove=os.getppid() != parent)
 
 
@@ -101,7 +101,7 @@ class _LabClient:
             self._orphaned_since = self._orphaned_since or self._lab.clock.now()
             return self._lab.clock.now() - self._orphaned_since > OUTLIVE_STATION_S
         with contextlib.suppress(EOFError, OSError):
-            while self._pipe.poll():
+            while self._pipe.fileno() in self._lab.readable and self._pipe.poll():
                 message: SetForce | InjectFaults | None = self._pipe.recv()
                 if message is None:
                     return True
