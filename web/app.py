@@ -7,7 +7,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -77,6 +77,7 @@ def serve_web(
     audit: Audit,
     out: Console,
     options: GatewayOptions,
+    interrupted: Callable[[], bool],
     *,
     browser: bool,
 ) -> None:
@@ -90,6 +91,7 @@ def serve_web(
         audit: audit log of commands and refusals.
         out: terminal for the messages to the operator.
         options: protocols and addresses of the gateway.
+        interrupted: returns whether a signal has asked the program to end.
         browser: whether to open a browser; it is opened only if the output is a terminal.
 
     Raises:
@@ -138,7 +140,7 @@ def serve_web(
             with contextlib.suppress(KeyboardInterrupt):
                 web.start()
                 # `join` is not used: Python 3.11 considers a thread ended when a signal interrupts `join` (bpo-45274).
-                while not ended.wait(0.5):
+                while not (ended.wait(0.5) or interrupted()):
                     pass
         finally:
             supervisor.end_control()

@@ -3,7 +3,7 @@
 import argparse
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -62,11 +62,13 @@ def _serve(parsed: argparse.Namespace) -> int:
     }
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
-    with _exit_on_signal():
+    with exit_on_signal() as interrupted:
         from web.serve import serve
 
         browser = not parsed.no_browser
-        return serve(parsed.config, changes, parsed.host, parsed.port, data_folder(parsed), options, browser=browser)
+        return serve(
+            parsed.config, changes, parsed.host, parsed.port, data_folder(parsed), options, interrupted, browser=browser
+        )
 
 
 def _port(text: str) -> int:
@@ -84,8 +86,12 @@ def _address(text: str) -> ListenAddress:
 
 
 @contextmanager
-def _exit_on_signal() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the first signal; ignore further signals during the cleanup that follows."""
+def exit_on_signal() -> Iterator[Callable[[], bool]]:
+    """Raise KeyboardInterrupt at the first signal; ignore further signals during the cleanup that follows.
+
+    The result tells whether a signal has arrived. A loop that must end asks it, too, because Python drops an exception
+    that a signal raises while a finalizer or a callback of a library runs.
+    """
     received: list[int] = []
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
@@ -96,7 +102,7 @@ def _exit_on_signal() -> Iterator[None]:
 
     before = {number: signal.signal(number, on_signal) for number in EXIT_SIGNALS}
     try:
-        yield
+        yield lambda: bool(received)
     finally:
         if not received:
             for number, handler in before.items():

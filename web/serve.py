@@ -3,7 +3,7 @@
 import contextlib
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ def serve(
     port: int,
     data: Path,
     options: GatewayOptions,
+    interrupted: Callable[[], bool],
     *,
     browser: bool,
 ) -> int:
@@ -48,6 +49,7 @@ def serve(
         port: port of page and REST; 0: any free port.
         data: folder of runs, calibrations and audit log.
         options: protocols and addresses of the gateway.
+        interrupted: returns whether a signal has asked the program to end.
         browser: whether to open a browser; it is opened only if the output is a terminal.
 
     Returns:
@@ -81,7 +83,7 @@ def serve(
             # start meanwhile.
             from web.app import serve_web
 
-            serve_web(supervisor, listening, (host, port), data, audit, out, options, browser=browser)
+            serve_web(supervisor, listening, (host, port), data, audit, out, options, interrupted, browser=browser)
         finally:
             stopped = supervisor.end_control()  # needed if the web server never started; otherwise repeated
             supervisor.close()
