@@ -170,7 +170,7 @@ class _Sensor:
         """Start a stream and clear all flags."""
         self._latched_flags = self._newest = 0
         self.flags = _STALE
-        self.stream = Stream(self._settings.latency)
+        self.stream = Stream(self._settings.latency, now)
         self.good.clear()
         self._streaming = True
         self._last_received = self._last_usable = now

@@ -219,9 +219,11 @@ def word(data: bytes, at: int) -> int:
 class Stream:
     """The records of one box in order; the stream counts and drops inconsistent records."""
 
-    def __init__(self, latency: float = LATENCY_S) -> None:
-        self._latency = latency
+    def __init__(self, latency: float = LATENCY_S, requested: float = math.inf) -> None:
+        """`latency`: usual delay of a record [s]; `requested`: time of the first request [s]; inf: unknown."""
+        self._latency, self._requested = latency, requested
         self._clock = SampleClock(latency)
+        self._late = 0.0  # largest possible delay of the clock's first record [s]
         #: State for compiled code: RDT and FT sequence number of the last record; FT number without wrap-around;
         #: internal samples per record, 0 if not evenly spaced; number of accepted records; number of mutually
         #: consistent records outside the sequence; whether a record was accepted since the last request.
@@ -299,11 +301,15 @@ class Stream:
         if self._clock.is_set:
             expected = round(self._clock.latest(now))
             off = (count - expected + SEQUENCE_WRAP // 2) % SEQUENCE_WRAP - SEQUENCE_WRAP // 2
-            if abs(off) / SAMPLE_RATE_HZ <= RESET_AFTER_S + self._clock.doubt(now):
+            # The first record may have waited, for instance on a busy computer; the clock is then late by that time.
+            late = self._late if off > 0 else 0.0
+            if abs(off) / SAMPLE_RATE_HZ <= RESET_AFTER_S + self._clock.doubt(now) + late:
                 count = expected + off
             else:
                 self._counters.resets += 1
                 self._clock = SampleClock(self._latency)
+        else:
+            self._late = max(0.0, now - self._requested)
         return self._accept(fields, count, now)
 
 

@@ -123,6 +123,30 @@ def test_gap_is_counted_and_later_records_are_accepted():
     assert stream.counters == Counters(accepted=95, lost=3)
 
 
+@pytest.mark.parametrize(("requested", "resets"), [(0.0, 0), (2.5, 1)])
+def test_records_that_waited_at_the_start_are_no_reset_of_the_box(requested, resets):
+    """The first records, measured at 0 s, are read at 3 s, and those between 0.1 s and 3 s are lost."""
+    stream = Stream(requested=requested)
+    for datagram in series(range(1, 51)):
+        stream.feed(datagram, 3.0)
+    accepted = [
+        sample
+        for n, datagram in enumerate(series(range(1500, 1600)))
+        for sample in stream.feed(datagram, 3.0 + 0.002 * n)
+    ]
+
+    assert len(accepted) > 80
+    assert stream.counters.resets == resets
+
+
+def test_restart_of_the_box_is_a_reset_after_records_that_waited():
+    stream = Stream(requested=0.0)
+    run(stream, series(range(1, 101), ft=600_000), first=1500)
+    run(stream, series(range(1, 101), ft=0), first=1600)
+
+    assert stream.counters.resets == 1
+
+
 def test_duplicate_and_late_records_are_dropped():
     stream, sent = Stream(), series(range(1, 21))
     sent[9], sent[10] = sent[10], sent[9]  # record 11 arrives before record 10
