@@ -53,6 +53,6 @@ def test_page_refuses_to_follow_a_target_that_no_device_measures(page: Page, sta
     assert station.rest.get("/api/rig").json()["can_track_target"] is False
     motion(page, "Not possible here: no target is measured")
     expect(page.locator("#start form b").first).to_have_text("follow")
-    page.locator("#start form", has_text="Start the station with --lab breathing").wait_for()
+    page.locator("#start form", has_text="ctr-station serve --lab breathing").wait_for()
     expect(page.get_by_role("button", name="Start motion")).to_be_disabled()
     page.get_by_role("button", name="all motions").click()

@@ -74,7 +74,7 @@ def test_help_mark_at_the_error_explains_the_true_and_the_measured_tip(page: Pag
 
 def test_palette_carries_out_the_action_found_by_some_letters(page: Page, station: Served) -> None:
     palette(page)
-    page.keyboard.type("opplot")
+    page.keyboard.type("op plot")
     page.keyboard.press("Enter")
     page.locator("#plots").wait_for()
     palette(page)

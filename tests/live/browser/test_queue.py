@@ -47,6 +47,7 @@ def test_all_cases_of_an_experiment_are_queued_by_one_press_and_reordered_paused
     overview(page)
     page.locator(".card", has_text="Fig. 8").click()
     page.get_by_role("button", name="Add all 6 cases to queue").click()
+    page.get_by_role("dialog", name="Start the queue?").get_by_role("button", name="Start").click()
     page.locator("#queue li.running").wait_for()
     titles = [entry["title"] for entry in entries(station)]
     assert len(titles) == 6
@@ -66,7 +67,7 @@ def test_all_cases_of_an_experiment_are_queued_by_one_press_and_reordered_paused
     assert running == titles[1]
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
-    page.get_by_role("button", name="clear the queue").click()
+    page.get_by_role("button", name="remove waiting runs from the queue").click()
     until(lambda: entries(station) == [])
     page.locator("#queue").wait_for(state="hidden")
 
@@ -81,6 +82,10 @@ def test_motion_is_added_to_the_queue_as_often_as_the_form_says(page: Page, stat
     assert entries(station) == []
     repeat.fill("3")
     page.get_by_role("button", name="Add to queue").click()
+    page.get_by_role("dialog", name="Start the queue?").get_by_role("button", name="Cancel").click()
+    assert entries(station) == []
+    page.get_by_role("button", name="Add to queue").click()
+    page.get_by_role("dialog", name="Start the queue?").get_by_role("button", name="Start").click()
     page.locator("#notes", has_text="added to the queue 3 times").wait_for()
     expect(rows(page)).to_have_count(3)
     assert len({entry["title"] for entry in entries(station)}) == 1

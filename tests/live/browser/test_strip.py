@@ -1,7 +1,10 @@
 """The strip above the tabs: current values or none, and the result of a finished run."""
 
-from playwright.sync_api import Page
+import re
 
+from playwright.sync_api import Page, expect
+
+from tests.harness.chromium import open_tab, wait_until_current
 from tests.harness.serving import Served
 
 #: Run that lasts longer than the test, which stops the run after all checks.
@@ -26,10 +29,31 @@ def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page
         page.wait_for_function(NUMBER, arg=cell)
     page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
     station.post("/api/stop")
-    page.locator("#ended", has_text="ended early · error at most").wait_for()
+    page.locator("#ended", has_text=re.compile("■ stopped by .* · error at most")).wait_for()
     page.wait_for_function(EMPTY, arg=ERROR)
     page.locator("#ended").get_by_role("button", name="Result").click()
     page.locator("#runs .result", has_text="largest").wait_for()
+
+
+def test_jog_buttons_keep_their_place_below_the_result_of_the_last_run(page: Page, station: Served) -> None:
+    assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0}).status_code == 202
+    page.locator("#ended").get_by_role("button", name="Result").wait_for()
+    station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
+    station.rest.delete("/api/operator")
+    open_tab(page, "jog")
+    button = page.get_by_role("button", name="x plus: hold to move")
+    wait_until_current(page)
+    place = button.bounding_box()
+    button.hover()
+    page.mouse.down()
+    try:
+        page.locator("#state", has_text="RUNNING").wait_for()
+        expect(page.locator("#ended")).to_be_visible()
+        assert button.bounding_box() == place
+        expect(page.locator("#run-progress")).to_be_hidden()
+    finally:
+        page.mouse.up()
+    page.locator("#state", has_text="READY").wait_for()
 
 
 def test_value_strip_hides_the_force_while_its_sensor_is_silent(page: Page, station: Served) -> None:

@@ -14,7 +14,7 @@ const inStates = (...states) => (status) => (status === null ? NO_ANSWER : state
 const onlyOperator = (wanted, text) => (status) => (status === null ? NO_ANSWER : status.operator.role === "viewer" ? "viewers cannot take control" : status.operator.you === wanted ? "" : text);
 const module = (path) => import(`../${path}.js`); // a tab that cannot be loaded does not affect the palette
 
-/** Actions of the page: {title, run, against(status): why it is not possible now; absent: it is always possible}. */
+/** Actions of the page: {title, words: further words that find it, run, against(status): why it is not possible now; absent: it is always possible}. */
 const ACTIONS = [
   { title: "STOP every axis", run: stop },
   { title: "Take control", against: onlyOperator(false, "this page is operator"), run: changeOperator },
@@ -28,8 +28,9 @@ const ACTIONS = [
   { title: "Pause the queue", against: inStates(), run: command("POST", "/api/queue/pause") },
   { title: "Continue the queue", against: inStates(), run: command("POST", "/api/queue/resume") },
   { title: "Clear the queue", against: inStates(), run: command("DELETE", "/api/queue") },
-  ...[["start", "Run"], ["jog", "Jog"], ["plots", "Plots"], ["runs", "History"], ["devices", "Bench, Devices"], ["calibrate", "Bench, Calibrate"], ["faults", "Bench, Faults"]]
-    .map(([id, name]) => ({ title: `Open ${name}`, run: () => openTab(id) })),
+  ...[["start", "Run", "motion experiment teach waypoints queue"], ["jog", "Jog", "move gamepad"], ["plots", "Plots", "curves"],
+    ["runs", "History", "result export download csv matlab delete report replay"], ["devices", "Bench, Devices", "robot six motors"], ["calibrate", "Bench, Calibrate", ""], ["faults", "Bench, Faults", "log inject load"]]
+    .map(([id, name, words]) => ({ title: `Open ${name}`, words, run: () => openTab(id) })),
   { title: "Compare two runs (tick them in History)", run: () => openTab("runs") },
   { title: "Help", run: toggleHelp },
   { title: "Show me around", run: tour },
@@ -47,16 +48,12 @@ function actionsOf(one) {
     ...(one.cases.length < 2 ? [] : [queue, ...one.cases.map((each) => ({ title: `Case ${name}: ${each.words}`, run: () => open(each.name) }))])];
 }
 
-/** Return whether all letters of `query` occur in `text` in this order. */
-function matches(query, text) {
-  let at = -1;
-  return [...query.replaceAll(" ", "")].every((letter) => (at = text.indexOf(letter, at + 1)) >= 0);
-}
-
-/** Return the actions that match a query; those that contain it come first. */
+/** Return the actions whose titles or further words contain every word of a query, or its beginning; titles come first. */
 function found(query) {
-  const wanted = query.trim().toLowerCase(), all = [...ACTIONS, ...experiments].map((action) => ({ action, text: action.title.toLowerCase() }));
-  return [...all.filter(({ text }) => text.includes(wanted)), ...all.filter(({ text }) => !text.includes(wanted) && matches(wanted, text))].map(({ action }) => action);
+  const wanted = query.toLowerCase().split(/\s+/).filter(Boolean);
+  const within = (text) => { const words = ` ${text.toLowerCase().replaceAll(/[^a-z0-9]+/g, " ")}`; return wanted.every((word) => words.includes(` ${word}`)); };
+  const all = [...ACTIONS, ...experiments], titled = all.filter((one) => within(one.title));
+  return [...titled, ...all.filter((one) => !titled.includes(one) && within(`${one.title} ${one.words ?? ""}`))];
 }
 
 const field = make("input", { type: "text", placeholder: "what to do", role: "combobox", "aria-label": "action", "aria-expanded": "true", "aria-controls": "actions", autocomplete: "off" });
@@ -75,6 +72,7 @@ function show() {
     item.addEventListener("click", () => carryOut(number));
     return item;
   }));
+  if (shown.length === 0) list.append(make("li", { role: "option", "aria-disabled": "true", className: "dim" }, "no action has these words"));
   field.setAttribute("aria-activedescendant", `action-${chosen}`);
   list.children[chosen]?.scrollIntoView({ block: "nearest" });
 }

@@ -115,7 +115,7 @@ onStatus((status) => {
 // ---- state, run, devices, loop timing
 
 function showRun(status) {
-  const run = status.run, on = run !== null && status.state === "RUNNING";
+  const run = status.run, on = run !== null && status.state === "RUNNING" && status.phase !== "jogging"; // a jog is no run
   $("run-title").textContent = run === null ? "" : on ? run.title : `last run: ${run.title}`;
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;

@@ -1,7 +1,7 @@
 // Values that are always visible: error, force, deflection and time left; after a run, its result.
 import { $, button, clock, dataAge, make, onStatus, request, setText, Refused, SILENT_AFTER_S } from "./station.js";
 import { directionError, error, follows, latestSample } from "./telemetry.js";
-import { errorSummary, ended, outcomeOf, SHAPES } from "../runs/result.js";
+import { countedFrom, errorSummary, ended } from "../runs/result.js";
 
 const REFRESH_INTERVAL_MS = 200; // ms
 const length = (vector, scale = 1) => (vector ? scale * Math.hypot(...vector) : null);
@@ -66,7 +66,7 @@ async function reportEnd(run) {
   }
   if (reported !== run.id) return;
   const [largest, rms] = errorSummary(result), force = Math.max(...Object.values(result.outcomes).map((one) => one.force ?? NaN));
-  const numbers = largest === "–" ? ended(result) : `${SHAPES[result.label] ?? "○"} ${outcomeOf(result)} · error at most ${largest}, RMS ${rms} mm${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
+  const numbers = largest === "–" ? ended(result) : `${ended(result)} · error at most ${largest}, RMS ${rms} mm${countedFrom(result)}${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
   $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: result.label }, numbers)),
     button("Result", async () => (await import("../runs/runs.js")).showRun(run.id)),
     button("Run again", async () => (await import("../run/run.js")).runAgain(run.id), { title: "Start a run with the same settings" }),
@@ -79,7 +79,8 @@ onStatus((now, old) => {
   if (stale !== old) { stale = old; show(); }
   const run = now?.run;
   if (!run) return;
-  if (now.state === "RUNNING") { reported = null; $("ended").hidden = true; }
+  // A jog keeps the last result, because the panel must not move under the pointer that holds a button.
+  if (now.state === "RUNNING") { if (now.phase !== "jogging") { reported = null; $("ended").hidden = true; } }
   else if (run.recorded && run.id !== reported && !run.recording && !old) reportEnd(run);
 });
 setInterval(show, REFRESH_INTERVAL_MS);

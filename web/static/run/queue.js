@@ -1,12 +1,12 @@
 // Queue of runs, above the motions of the tab Run: what runs next, why it waits, and its order.
-import { button, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+import { button, confirm, latest, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
 import { isOpen, onTab } from "../page/tabs.js";
 
 const POLL_INTERVAL_MS = 1000, MAX_REPEATS = 50; // as in web/api/queue.py
 const SIGNS = { waiting: "○", running: "▶", done: "●", failed: "▲" };
 const list = make("ol"), state = make("p", { className: "small", role: "status" });
 const act = (method, path, text, label, body) => button(text, async () => { if (await sendCommand(method, path, body)) refresh(); }, { "aria-label": label });
-const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), resume = act("POST", "/api/queue/resume", "Continue", "continue the queue", {}), clear = act("DELETE", "/api/queue", "Clear", "clear the queue");
+const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), resume = act("POST", "/api/queue/resume", "Continue", "continue the queue", {}), clear = act("DELETE", "/api/queue", "Remove waiting runs", "remove waiting runs from the queue");
 /** The queue, hidden while it is empty. */
 export const box = make("fieldset", { id: "queue", hidden: true }, make("legend", {}, "Queue"), state, list, make("div", { className: "acts" }, pause, resume, clear));
 
@@ -20,7 +20,9 @@ export function repetitions() {
 /** Add the runs of a request at the end of the queue, as often as the field `repeat` contains. */
 export async function addToQueue(body, repeat = null) {
   const times = repeat === null ? 1 : repeat.read();
-  const queue = times === null ? null : await sendCommand("POST", "/api/queue", { ...body, repeat: times });
+  if (times === null || (startsAtOnce() && !await confirm("Start the queue?", "Start",
+    make("p", {}, "Nothing runs and nothing waits, so the robot starts the first run at once: it first goes to the run's start pose. Check that the path is clear. STOP works at any time.")))) return;
+  const queue = await sendCommand("POST", "/api/queue", { ...body, repeat: times });
   if (queue === null) return;
   note(times === 1 ? "added to the queue" : `added to the queue ${times} times`, true);
   show(queue);
@@ -35,10 +37,14 @@ function row(entry) {
   entry.state === "running" ? null : act("DELETE", `/api/queue/${entry.id}`, "×", `${entry.title}: remove`));
 }
 
-let shown = "";
+/** Return whether the station would start a run that is added now. */
+const startsAtOnce = () => latest()?.state === "READY" && !waits;
+
+let shown = "", waits = false; // waits: a run of the queue waits or runs
 function show(queue) {
   if (shown === (shown = JSON.stringify(queue))) return;
   const left = queue.entries.filter((entry) => entry.state === "waiting").length;
+  waits = queue.entries.some((entry) => entry.state === "waiting" || entry.state === "running");
   box.hidden = queue.entries.length === 0;
   state.textContent = queue.paused === "" ? `${left} waiting` : `paused: ${queue.paused}`;
   pause.hidden = queue.paused !== "";

@@ -18,7 +18,7 @@ const INITIAL_VALUES = {
 };
 const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
 const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
-const NO_TARGET = "Not possible here: no target is measured. Start the station with --lab breathing, or give the tracker a second coil.";
+const NO_TARGET = "Not possible here: no target is measured. Start the station by ctr-station serve --lab breathing, or give the tracker a second coil.";
 /** Time for which the tip stays at the last waypoint [s]. */
 const FINAL_PAUSE_S = 3;
 /** If each joint is at most this far from its start position, the start needs no confirmation [rad, m]. */
@@ -177,7 +177,7 @@ function motion(kind, schema, all, values = {}) {
   blockedReason = missingTarget(kind);
   const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
   open(kind.replaceAll("_", " "), [make("p", {}, sentence(schema)),
-    make("p", { className: "small dim" }, `The motion ends in HOLD at ${rig.max_force.toPrecision(2)} N on the tip (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
+    make("p", { className: "small dim" }, `If the force on the tip exceeds ${rig.max_force.toPrecision(2)} N, the motion ends in HOLD (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
     load?.element, controlFields(control)], "Start motion", () => startRun(read()));

@@ -24,8 +24,17 @@ export function errorSummary(run) {
   return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];
 }
 
-/** Return the outcome of a run and its cause. */
-export const ended = (run) => `${SHAPES[run.label] ?? "○"} ${run.cause === "" ? outcomeOf(run) : run.cause.startsWith(run.label) ? run.cause : `${outcomeOf(run)}: ${run.cause}`}`;
+/** Return from which time of the motion the errors of a run count; empty if they count from its start. */
+export function countedFrom(run) {
+  const from = Math.max(0, ...Object.values(run.outcomes).map((one) => one.counted_from));
+  return from > 0 ? ` from ${readable(from)} s on` : "";
+}
+
+/** Return the outcome of a run and its cause without addresses, which the numbers of the result contain. */
+export function ended(run) {
+  const cause = run.cause.replaceAll(/ \([^()]*:\/\/[^()]*\)/g, "");
+  return `${SHAPES[run.label] ?? "○"} ${cause === "" ? outcomeOf(run) : cause.startsWith(run.label) ? cause : `${outcomeOf(run)}: ${cause}`}`;
+}
 
 function numbers(run) {
   const cases = Object.entries(run.outcomes), many = cases.length > 1;
@@ -191,5 +200,5 @@ export function comparison(chosen) {
   const head = make("tr", {}, make("th", {}, "errors in mm, force in N"), ...names, make("th", { className: "number" }, "2 − 1"));
   const endings = make("tr", {}, make("td", {}, "ended"), ...runs.map((run) => text(ended(run))), make("td", {}, ""));
   return make("div", { className: "result" }, make("table", { id: "comparison" }, head, endings, ...numbersOfTwo(runs)), overlaidCurves(runs),
-    differentSettings(runs), folded("All differences of the results", () => differences(runs.map((run) => ({ ...run.summary, label: run.label })))));
+    differentSettings(runs), folded("All differences of the results", () => differences(runs.map((run) => ({ ...run.summary, label: outcomeOf(run), started: dateTime(new Date(1000 * run.started)) })))));
 }

@@ -1,7 +1,7 @@
 // History: recorded runs by day with their errors; title, star, tags, notes, replay, report, export, comparison, deletion.
 import { $, button, confirm, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { head, isOpen, onTab, openTab } from "../page/tabs.js";
-import { address, card, comparison, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
+import { address, card, comparison, ended, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
 
 const date = (seconds) => new Date(1000 * seconds);
 const day = (seconds) => date(seconds).toLocaleDateString(undefined, { weekday: "long", year: "numeric", month: "long", day: "numeric" });
@@ -73,7 +73,7 @@ function describe(run) {
   const clock = order.value === "newest" ? time(run.started) : date(run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "short" });
   return make("div", {},
     make("b", {}, run.starred ? `★ ${titleOf(run)}` : titleOf(run)),
-    make("span", {}, `${SHAPES[run.label] ?? "○"} ${outcomeOf(run)} · ${clock} · ${size(run.size)}`),
+    make("span", {}, `${ended(run)} · ${clock} · ${size(run.size)}`),
     run.tags.length === 0 ? null : make("span", {}, ...run.tags.map((tag) => make("i", { className: "tag" }, tag))),
     run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`));
 }
