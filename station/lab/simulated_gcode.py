@@ -48,7 +48,7 @@ class SimulatedBoard:
         seed: int = 0,
     ) -> None:
         self.dialect, self.time = dialect, 0.0
-        self.emergency_parser = True
+        self.emergency_parser = self.realtime_position = True  # options of the Marlin firmware
         self.planner = Planner(len(setups), BLOCKS[dialect])
         axes = [AxisSetup.of(s.joint, GcodeAxisFile(letter=c)) for s, c in zip(setups, LETTERS, strict=False)]
         self.units = tuple(
@@ -227,6 +227,8 @@ class SimulatedBoard:
             return "ok"
         if self.alarm:
             return "error:9"
+        if text[0] not in "$GFNMXYZABC":
+            return "error:1"
         if match := re.fullmatch(r"G43\.1Z([\d.]+)", text):
             self.mark = float(match[1])
             return "ok"
@@ -296,11 +298,9 @@ class SimulatedBoard:
             answer = self._move(text[2:].replace(" ", ""), self.offsets)
             return "ok" if answer == "ok" else f"echo:Unknown command: {text}\nok"
         match code:
-            case "M114":
-                position = self.planner.position
-                logical = "".join(
-                    f"{LETTERS[i]}:{self.planner.end[i] + self.offsets[i]:.2f} " for i in range(len(position))
-                )
+            case "M114":  # without R the end of the queue
+                position = self.planner.position if self.realtime_position and text == "M114 R" else self.planner.end
+                logical = "".join(f"{LETTERS[i]}:{p + self.offsets[i]:.2f} " for i, p in enumerate(position))
                 steps = " ".join(f"{LETTERS[i]}:{round(p / self.units[i].setup.unit)}" for i, p in enumerate(position))
                 return f"{logical}Count {steps}\nok"
             case "M115":

@@ -5,7 +5,7 @@ import re
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, Literal
 
-from station.devices.gcode.board import Answer, BoardFault, GcodeBoard, Request
+from station.devices.gcode.board import Answer, GcodeBoard, Request
 from station.devices.gcode.protocol import Dialect, GcodeError
 from station.devices.gcode.setup import AxisSetup
 from station.devices.stages_on_line import AxisFault
@@ -14,6 +14,7 @@ from station.devices.zaber.sequences import Homing, HomingStep
 #: Offset that marks a homed board: tool length (GRBL) or work offset (Marlin). It vanishes when the board restarts.
 MARK = 7.77
 STOP_TIMEOUT_S = 5.0  #: time in which the board must confirm a stop [s]
+QUIET_S = 0.06  #: silence after which no reply is outstanding [s]
 MAX_ATTEMPTS = 4  #: largest number of times that a request without a reply is sent
 
 Script = Generator[Request | float, Answer | None, None]
@@ -49,7 +50,7 @@ class GcodeState:
 
     def fault(self, event: object, connected: bool) -> AxisFault | None:  # noqa: ARG002 - the same in every condition
         """Return the fault that an event of the board means."""
-        return AxisFault(event.axis, event.text, event.must_home) if isinstance(event, BoardFault) else None
+        return None
 
     def warning(self, i: int) -> str:
         """Return a warning about the firmware; empty without one."""
@@ -70,12 +71,20 @@ class GcodeState:
         }
 
     def connect(self) -> Script:
-        """Stop the board, check and set its parameters, and wait for its positions."""
-        yield from self._stopped()
-        if self.dialect == "grbl":
-            marked = yield from self._set_up_grbl()
-        else:
-            marked = yield from self._set_up_marlin()
+        """Stop the board, check and set its parameters, and wait for its positions.
+
+        Some boards restart when the port is opened; then the setup starts again.
+        """
+        marked, line = False, self.line
+        line.starting = line.restarted = True
+        while line.restarted:
+            yield from self._stopped()
+            if line.state == "Alarm":
+                line.reset_board()
+                yield from self._quiet()
+            line.restarted = False
+            marked = yield from (self._set_up_grbl() if self.dialect == "grbl" else self._set_up_marlin())
+        line.starting = False
         self.homed = [
             ((marked and not self._here) or (self._here and self.homed[i])) and i not in self.home_again
             for i in range(len(self.setups))
@@ -101,10 +110,24 @@ class GcodeState:
         give_up = self.now + STOP_TIMEOUT_S
         while self.line.stopping:
             if self.now > give_up:
+                if self.line.reading is None:
+                    self.line.give_up()
+                    raise GcodeError(
+                        "the board does not answer; is it powered and plugged in, and is its baud rate right?"
+                    )
                 raise GcodeError("the board has not confirmed its stop")
             yield 0.02
-        if self.line.lost:
-            raise GcodeError("the board does not answer; is it powered and plugged in, and is its baud rate right?")
+        yield from self._quiet()
+
+    def _quiet(self) -> Script:
+        """Wait until the board has sent every reply to earlier lines, which would be taken for later replies."""
+        self.line.polling = False
+        start = self.now
+        while self.now - max(self.line.heard, start) < QUIET_S:
+            if self.now - start > STOP_TIMEOUT_S:
+                raise GcodeError("the board sends without a pause; is its baud rate right?")
+            yield 0.01
+        self.line.cancel()
 
     def _set_up_grbl(self) -> Generator[Request | float, Answer | None, bool]:
         settings: dict[int, float] = {}
@@ -157,13 +180,16 @@ class GcodeState:
             )
 
     def _read_offsets(self) -> Script:
-        """Read Marlin's work offsets at rest."""
-        self.line.polling, self.line.reading = True, None
-        give_up = self.now + 1.0
-        while (reading := self.line.reading) is None or not reading.logical:
+        """Read Marlin's work offsets at rest, by two equal replies."""
+        line = self.line
+        line.polling, line.checking, line.reading = True, False, None
+        give_up, first = self.now + 1.0, line.reading
+        while first is None or line.reading is first or line.reading != first:
             if self.now > give_up:
                 raise GcodeError("the board does not report its position")
-            yield 0.01
+            first = line.reading
+            yield 0.03
+        reading, line.checking = first, True
         pairs = zip(reading.logical, reading.values, self.setups, strict=True)
         self.line.offset = [logical - steps * setup.unit for logical, steps, setup in pairs]
         if all(abs(offset - MARK) < 0.02 for offset in self.line.offset):
