@@ -342,7 +342,7 @@ class StagesOnLine(Generic[Request, Answer]):
                     self._must_home(i)
             if self.condition is Condition.FAULT and not self._explained:
                 self._problem = f"{event.text}; {self._problem}"  # it explains an earlier silence
-            self._explained = True
+            self._explained, self._details = True, self._details or self._link.name
             self._fail(event.text)
         elif fault := self._state.fault(event, self.condition is Condition.CONNECTED):
             if fault.must_home:

@@ -17,6 +17,7 @@ BANNER = "Grbl 1.1h ['$' for help]"
 LETTERS: tuple[Letter, ...] = ("X", "Y", "Z", "A", "B", "C")
 RESTART_TIME_S = 0.5  #: time after switching on in which the board ignores bytes [s]
 PROCESSING_S = 0.0005  #: time from the end of a line to the start of its reply; assumed [s]
+KEEPALIVE_S = 2.0  #: interval in which Marlin reports that it executes a long command [s]
 HOME_PAUSE_S = 0.3  #: time for the slow second approach to a home switch [s]
 
 
@@ -68,6 +69,7 @@ class SimulatedBoard:
         self._part, self._free, self._deaf_until = b"", -math.inf, -math.inf
         self._out = PacedLine(self._byte_time)
         self._homing: tuple[int, float] | None = None  # axis, and the end of its homing [s]
+        self._next_busy = math.inf  # time of the next report of a long command [s]
         self._number = 0
         self.settings = {10: 1.0, 22: 1.0}
         for k, axis in enumerate(axes):
@@ -141,6 +143,9 @@ class SimulatedBoard:
         if until > self.time:
             self.planner.advance(until)
             self.time = until
+        if self._homing is not None and self.dialect == "marlin" and until >= self._next_busy:
+            self._next_busy += KEEPALIVE_S
+            self._send("echo:busy: processing", until)
         if self._homing is not None and until >= self._homing[1]:
             (i, _), self._homing = self._homing, None
             self.planner.set_position(i, 0.0)
@@ -247,7 +252,7 @@ class SimulatedBoard:
         distance = abs(unit.true_position) * unit.setup.joint.microstep
         seconds = distance / unit.setup.home_speed
         self.planner.put(goal, seconds)
-        self._homing = (i, self.time + seconds + HOME_PAUSE_S)
+        self._homing, self._next_busy = (i, self.time + seconds + HOME_PAUSE_S), self.time + KEEPALIVE_S
         return ""
 
     def _move(self, words: str, offsets: Sequence[float]) -> str:

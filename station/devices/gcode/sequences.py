@@ -14,6 +14,7 @@ from station.devices.zaber.sequences import Homing, HomingStep
 #: Offset that marks a homed board: tool length (GRBL) or work offset (Marlin). It vanishes when the board restarts.
 MARK = 7.77
 STOP_TIMEOUT_S = 5.0  #: time in which the board must confirm a stop [s]
+SILENT = "the board does not answer; is it powered and plugged in, and is its baud rate right?"
 QUIET_S = 0.06  #: silence after which no reply is outstanding [s]
 MAX_ATTEMPTS = 4  #: largest number of times that a request without a reply is sent
 
@@ -75,15 +76,19 @@ class GcodeState:
 
         Some boards restart when the port is opened; then the setup starts again.
         """
-        marked, line = False, self.line
+        line, marked = self.line, False
         line.starting = line.restarted = True
-        while line.restarted:
+        for _ in range(MAX_ATTEMPTS):
             yield from self._stopped()
             if line.state == "Alarm":
                 line.reset_board()
                 yield from self._quiet()
             line.restarted = False
             marked = yield from (self._set_up_grbl() if self.dialect == "grbl" else self._set_up_marlin())
+            if not line.restarted:
+                break
+        else:
+            raise GcodeError("the board restarts again and again; is its power supply sufficient?")
         line.starting = False
         self.homed = [
             ((marked and not self._here) or (self._here and self.homed[i])) and i not in self.home_again
@@ -112,9 +117,7 @@ class GcodeState:
             if self.now > give_up:
                 if self.line.reading is None:
                     self.line.give_up()
-                    raise GcodeError(
-                        "the board does not answer; is it powered and plugged in, and is its baud rate right?"
-                    )
+                    raise GcodeError(SILENT)
                 raise GcodeError("the board has not confirmed its stop")
             yield 0.02
         yield from self._quiet()
@@ -130,21 +133,28 @@ class GcodeState:
         self.line.cancel()
 
     def _set_up_grbl(self) -> Generator[Request | float, Answer | None, bool]:
-        settings: dict[int, float] = {}
-        for line in (yield from self._need("$$")):
-            if match := re.match(r"\$(\d+)=(-?[\d.]+)", line):
-                settings[int(match[1])] = float(match[2])
+        missing = ["$$"]
+        for _ in range(MAX_ATTEMPTS):
+            found = (re.fullmatch(r"\$(\d+)=(-?[\d.]+)", line) for line in (yield from self._need("$$")))
+            missing = self._missing_settings({int(match[1]): float(match[2]) for match in found if match})
+            if not missing:
+                break
+            for text in missing:  # GRBL has no checksums, so the settings are read again
+                yield from self._need(text)
+        else:
+            raise GcodeError(f"the board does not accept its settings {', '.join(missing)}")
+        offsets = yield from self._need("$#")
+        return f"[TLO:{MARK:.3f}]" in offsets
+
+    def _missing_settings(self, settings: Mapping[int, float]) -> list[str]:
+        """Return the settings of GRBL to write; raises GcodeError for those that only the operator may change."""
+        values = {10: 1.0}
         for setup in self.setups:
             k = "XYZABC".index(setup.letter)
             self._check_steps(setup, settings.get(100 + k), f"${100 + k}")
-            values = (110, 60.0 * setup.joint.speed * setup.units), (120, setup.joint_acceleration * setup.units)
-            for base, value in values:
-                if abs(settings.get(base + k, 0.0) - value) > 1e-3 * value:
-                    yield from self._need(f"${base + k}={value:.3f}")
-        if settings.get(10) != 1:
-            yield from self._need("$10=1")
-        offsets = yield from self._need("$#")
-        return f"[TLO:{MARK:.3f}]" in offsets
+            values[110 + k] = 60.0 * setup.joint.speed * setup.units
+            values[120 + k] = setup.joint_acceleration * setup.units
+        return [f"${k}={v:.3f}" for k, v in values.items() if abs(settings.get(k, 0.0) - v) > 1e-3 * v]
 
     def _set_up_marlin(self) -> Generator[Request | float, Answer | None, bool]:
         yield from self._need("M110 N0")
@@ -208,6 +218,8 @@ class GcodeState:
         setup, estimate = self.setups[i], self.line.estimates[i]
         self.homed[i] = False
         if self._here and self.line.reading is not None:
+            if self.line.state == "Alarm":
+                yield from self._need("$X")
             self.line.origin[i] = self._origin[i] = self.line.raw(self.line.reading)[i]
         else:
             estimate.forget(adrift=True)
@@ -240,12 +252,14 @@ class GcodeState:
                 self.homed[i] = False
 
     def _need(self, text: str, timeout: float = 1.0, homing: bool = False) -> Lines:
-        """Return the lines that answer an accepted request; it is sent again if its reply is lost."""
+        """Return the lines that answer an accepted request; it is sent again if it or its reply was damaged."""
+        problem = ""
         for _ in range(1 if homing else MAX_ATTEMPTS):
             answer = yield Request(text, timeout, homing)
             if answer is None or answer.missing:
-                continue
-            if not answer.accepted:
-                raise GcodeError(f"the board rejects '{text}': {answer.error}")
-            return answer.lines
-        raise GcodeError(f"the board does not answer '{text}'; is it powered, and is its baud rate right?")
+                problem = f"the board does not answer '{text}'; is it powered, and is its baud rate right?"
+            elif answer.accepted:
+                return answer.lines
+            else:
+                problem = f"the board rejects '{text}': {answer.error}"
+        raise GcodeError(problem)
