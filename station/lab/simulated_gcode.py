@@ -259,10 +259,14 @@ class SimulatedBoard:
         found = re.findall(r"([A-Z])(-?\d+(?:\.\d*)?)", words)
         if "".join(letter + number for letter, number in found) != words:
             return "error:2"
-        values = {letter: float(number) for letter, number in found}
+        values: dict[str, float] = {letter: float(number) for letter, number in found}
         feed = values.pop("F", 0.0)
         if feed <= 0.0:
             return "error:22"
+        if self.settings.get(20) and any(
+            abs(v) > self.settings.get(130 + LETTERS.index(c), math.inf) for c, v in values.items()
+        ):
+            return "error:15"
         target = list(self.planner.end)
         for i, _ in enumerate(self.units):
             if LETTERS[i] in values:

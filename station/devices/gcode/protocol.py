@@ -24,12 +24,16 @@ GRBL_ERRORS = {
     7: "the settings in the board's memory were lost",
     8: "this $ command needs an idle board",
     9: "the board is locked by an alarm or a jog",
+    10: "soft limits need homing ($20, $22)",
     11: "the line is too long",
     15: "the target is outside the board's travel ($130 to $132)",
     16: "the jog command is invalid",
     20: "the firmware does not know this G-code",
     22: "the feed rate is missing",
+    30: "G53 needs G0 or G1",
     33: "the target is invalid",
+    36: "a word of the line is not used by its command",
+    37: "G43.1 does not apply to this axis",
 }
 GRBL_ALARMS = {
     1: "a limit switch was hit, the position is lost",
