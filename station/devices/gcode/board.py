@@ -210,6 +210,8 @@ class GcodeBoard:
                 self._send_again(number, now)
             case Started():
                 self._number, self.restarted = 0, True
+                for estimate in self.estimates:
+                    estimate.forget()
                 if now > self._reset_until and not self.starting:
                     self._break(events, "has reset itself and lost its position", True)
             case Alarm(text):
