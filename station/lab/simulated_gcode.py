@@ -278,9 +278,9 @@ class SimulatedBoard:
         return "ok"
 
     def _marlin(self, text: str) -> None:
-        if match := re.fullmatch(r"N(\d+) (.*)\*(\d+)", text):
+        if match := re.fullmatch(r"N(-?\d+) (.*)\*(\d+)", text):
             number, check = int(match[1]), 0
-            for byte in f"N{number} {match[2]}".encode():
+            for byte in f"N{match[1]} {match[2]}".encode():
                 check ^= byte
             problem = "checksum mismatch" if check != int(match[3]) else ""
             if not problem and number != self._number + 1 and not match[2].startswith("M110"):
@@ -288,7 +288,8 @@ class SimulatedBoard:
             if problem:
                 self._resend(problem)
                 return
-            self._number, text = number, match[2]
+            renumbered = re.fullmatch(r"M110 N(-?\d+)", match[2])
+            self._number, text = int(renumbered[1]) if renumbered else number, match[2]
         elif "*" in text or text.startswith("N"):
             self._resend("checksum mismatch")
             return
