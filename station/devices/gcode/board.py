@@ -48,6 +48,7 @@ MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
 UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
 MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
 RESEND_S = 0.020  #: time in which further requests for the same line belong to lines in transit [s]
+BLIND = 0.5  #: fraction of the deadline after which a missing position stops the axes until it returns
 MAX_SKEW_S = 0.002  #: longest time between the two positions of one Marlin reply [s]
 MAX_PROJECTED = 5  #: replies in a row at the end of the queue that are a fault
 #: Ends an unfinished line of GRBL and makes it invalid, so that the board does not execute a part of a command.
@@ -181,20 +182,19 @@ class GcodeBoard:
             if now - self._requested > self._request.timeout:
                 self.cancel()
                 events.append(Answer(missing=True))
-        elif self._unverified is not None and now - self._unverified > self._deadline and not self._silence_allowed:
+        elif self._unverified is None or self.starting or self.lost:
+            pass
+        elif now - self._unverified > self._deadline:
             self.give_up()
             why = f"no {'valid position' if self._doubt else 'answer'} of the board"
             why += f" for {1e3 * (now - self._unverified):.0f} ms{self._doubt}"
             events += [AxisLost(i, why) for i in sorted(self.lost)]
+        elif now - self._unverified > BLIND * self._deadline and any(self.sent) and not self.stopping:
+            self.stopping = self._urgent = True  # a damaged line may move an axis anywhere
         if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
             self._waiting.clear()  # a reply was damaged
             self.counts[0].missed += 1
         return events
-
-    @property
-    def _silence_allowed(self) -> bool:
-        """Whether the host has not connected yet, or knows that the board is silent."""
-        return self.starting or bool(self.lost)
 
     def _take(self, message: Message, events: list[Event], now: float) -> None:
         match message:
@@ -219,7 +219,8 @@ class GcodeBoard:
                     self._break(events, f"reports: {text}", True)
             case Info(text):
                 self._lines.append(text)
-                self._doubt = "; its replies are damaged"
+                if "MPos" in text or "Count" in text:
+                    self._doubt = "; its replies are damaged"
 
     def _break(self, events: list[Event], text: str, must_home: bool) -> None:
         self._waiting.clear()
