@@ -101,7 +101,7 @@ class GcodeBoard:
         self.state = ""  #: GRBL's last state
         self.starting = False  #: whether a restart of the board is not a fault, because the host sets it up afterwards
         self.restarted = False  #: whether the board has restarted
-        self.heard = -math.inf  #: time of the last received byte [s]
+        self.received_at = -math.inf  #: time of the last received byte [s]
         self.reading: Position | None = None  #: last reading
         self._letters = [s.letter for s in self.setups]
         self._byte_time, self._deadline = 10.0 / (baud or BAUDS[dialect]), deadline
@@ -175,7 +175,7 @@ class GcodeBoard:
             estimate.advance(now)
         events: list[Event] = []
         if data:
-            self.heard = now
+            self.received_at = now
             for line in self.reader.feed(data):
                 self._take(parse(self.dialect, line, self._letters), events, now)
         if self._request is not None and self._requested is not None:

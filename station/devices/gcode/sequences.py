@@ -126,7 +126,7 @@ class GcodeState:
         """Wait until the board has sent every reply to earlier lines, which would be taken for later replies."""
         self.line.polling = False
         start = self.now
-        while self.now - max(self.line.heard, start) < QUIET_S:
+        while self.now - max(self.line.received_at, start) < QUIET_S:
             if self.now - start > STOP_TIMEOUT_S:
                 raise GcodeError("the board sends without a pause; is its baud rate right?")
             yield 0.01

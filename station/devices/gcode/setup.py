@@ -56,7 +56,7 @@ class GcodeFile(Strict):
     joints: Mapping[Name, GcodeAxisFile] = {}
     """the axis of each joint; default: X, Y, Z, A, B, C in the order of the robot's joints"""
     deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
-    """longest silence of the board after a query before it counts as lost [s]"""
+    """longest time without a valid position before the board counts as lost; after half of it the axes stop [s]"""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import pytest
 from station.devices.interfaces import Condition, Severity
 from station.experiments.experiment import load_experiment
 from station.lab.simulated_zaber import Faults
+from tests.fuzz.stages import fuzz
 from tests.harness.cases import a_run
 from tests.harness.stages_bench import StagesBench
 
@@ -222,6 +223,12 @@ def test_cut_line_is_a_fault_within_300_ms_and_the_stages_stop_by_themselves(ben
     assert time_to_fault(bench) <= 0.3
     assert "no answer of the board" in bench.cause
     assert not bench.simulated.planner.moving
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
+def test_damaged_bytes_in_both_directions_give_no_wrong_position_and_every_board_connects_again(dialect):
+    found = fuzz(dialect, 30, seed=1)
+    assert (found["exceptions"], found["hangs"], found["false_accepts"]) == (0, 0, 0)
 
 
 CIRCLE = """
