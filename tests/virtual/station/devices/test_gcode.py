@@ -231,6 +231,15 @@ def test_damaged_bytes_in_both_directions_give_no_wrong_position_and_every_board
     assert (found["exceptions"], found["hangs"], found["false_accepts"]) == (0, 0, 0)
 
 
+def test_axes_stop_within_100_ms_when_the_positions_are_missing(bench):
+    bench.simulated.faults = Faults(mute=frozenset({1}))
+    start = bench.now
+    bench.run(0.5, lambda now: SPEEDS, until=lambda: not bench.simulated.planner.moving)
+    assert bench.now - start <= 0.1
+    bench.run(0.5, lambda now: SPEEDS)
+    assert bench.stages.condition is Condition.FAULT
+
+
 CIRCLE = """
 title = "circle"
 start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
