@@ -124,6 +124,7 @@ class GcodeBoard:
         self._urgent = self._home_ended = self._killed = self._must_reset = False
         self._number = 0
         self._resent = (-1, -math.inf)  # number that Marlin requested last, and when [s]
+        self._blind = False  # whether the axes stop because their positions are missing
         self._skip_ok = False  # whether the next `ok` belongs to a request for a line, not to a line
         self._rejections = self._projected = 0
 
@@ -138,6 +139,7 @@ class GcodeBoard:
         """Empty the planner before any other command, again and again until the board is at rest."""
         self._desired = [0.0 for _ in self.setups]
         self.cancel()
+        self._blind, self.sent = False, [0 for _ in self.setups]
         if self.stopping and not self._home_ended:
             return
         self.stopping = self._urgent = True
@@ -190,7 +192,7 @@ class GcodeBoard:
             why += f" for {1e3 * (now - self._unverified):.0f} ms{self._doubt}"
             events += [AxisLost(i, why) for i in sorted(self.lost)]
         elif now - self._unverified > BLIND * self._deadline and any(self.sent) and not self.stopping:
-            self.stopping = self._urgent = True  # a damaged line may move an axis anywhere
+            self.stopping = self._urgent = self._blind = True  # a damaged line may move an axis anywhere
         if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
             self._waiting.clear()  # a reply was damaged
             self.counts[0].missed += 1
@@ -292,7 +294,8 @@ class GcodeBoard:
             at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
             queued = any(kind == "segment" for _, kind in self._waiting)
             if at_rest and not queued and now - self._stopped_at > POLL_S:
-                self.stopping, self._target = False, None
+                self.stopping, self._blind, self._target = False, False, None
+                self.sent = [0 for _ in self.setups]
 
     def _agrees(self, position: Position) -> bool:
         """Return whether Marlin's coordinates agree with its counts of steps."""
@@ -378,7 +381,8 @@ class GcodeBoard:
         first, self._urgent, self._next_stop = self._urgent, False, now + POLL_S
         if first:
             self._stopped_at = now
-            self.sent = [0 for _ in self.setups]
+            if not self._blind:  # otherwise a lost axis would seem to be at rest
+                self.sent = [0 for _ in self.setups]
             self._future.clear()
             self._speeds = [math.nan for _ in self.setups]
             for i in range(len(self.setups)):

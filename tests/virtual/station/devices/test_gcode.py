@@ -238,6 +238,7 @@ def test_axes_stop_within_100_ms_when_the_positions_are_missing(bench):
     assert bench.now - start <= 0.1
     bench.run(0.5, lambda now: SPEEDS)
     assert bench.stages.condition is Condition.FAULT
+    assert "outer_rotation cannot be reached; last seen at" in bench.cause
 
 
 CIRCLE = """
