@@ -41,6 +41,13 @@ class AxisFault(NamedTuple):
     must_home: bool = False
 
 
+class LineFault(NamedTuple):
+    """Event: the device of all axes cannot continue; `must_home`: it has lost their positions."""
+
+    text: str
+    must_home: bool
+
+
 class StagesError(CtrError):
     """The stages cannot execute a command in their present condition."""
 
@@ -185,6 +192,7 @@ class StagesOnLine(Generic[Request, Answer]):
         self._runner = SequenceRunner[Request, Answer]()
         self._problem = self._details = ""  # why the condition is FAULT; raw values that belong to it
         self._broken = False  # whether the port is lost
+        self._explained = False  # whether `_problem` contains the fault of a whole line
         self._velocities: list[float] = []  # velocities that wait for a free line [rad/s or m/s]
         self._send_deferred = False
         self._scales = np.array([setup.speed_scale for setup in state.setups])
@@ -254,7 +262,7 @@ class StagesOnLine(Generic[Request, Answer]):
                 self.condition, self._details = Condition.FAULT, str(error)
                 self._problem = "the stages' port cannot be opened again"
                 return
-        self._broken = False
+        self._broken = self._explained = False
         self._state.reset()
         self._line.stop()
         self._velocities, self._problem, self._details = [], "", ""
@@ -328,6 +336,14 @@ class StagesOnLine(Generic[Request, Answer]):
             self._advance(now, event)
         elif isinstance(event, AxisLost):
             self._lose((event.axis,), event.why)
+        elif isinstance(event, LineFault):
+            if event.must_home:
+                for i in range(len(self._state.setups)):
+                    self._must_home(i)
+            if self.condition is Condition.FAULT and not self._explained:
+                self._problem = f"{event.text}; {self._problem}"  # it explains an earlier silence
+            self._explained, self._details = True, self._details or self._link.name
+            self._fail(event.text)
         elif fault := self._state.fault(event, self.condition is Condition.CONNECTED):
             if fault.must_home:
                 self._must_home(fault.axis)

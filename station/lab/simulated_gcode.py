@@ -17,6 +17,7 @@ BANNER = "Grbl 1.1h ['$' for help]"
 LETTERS: tuple[Letter, ...] = ("X", "Y", "Z", "A", "B", "C")
 RESTART_TIME_S = 0.5  #: time after switching on in which the board ignores bytes [s]
 PROCESSING_S = 0.0005  #: time from the end of a line to the start of its reply; assumed [s]
+KEEPALIVE_S = 2.0  #: interval in which Marlin reports that it executes a long command [s]
 HOME_PAUSE_S = 0.3  #: time for the slow second approach to a home switch [s]
 
 
@@ -48,7 +49,7 @@ class SimulatedBoard:
         seed: int = 0,
     ) -> None:
         self.dialect, self.time = dialect, 0.0
-        self.emergency_parser = True
+        self.emergency_parser = self.realtime_position = True  # options of the Marlin firmware
         self.planner = Planner(len(setups), BLOCKS[dialect])
         axes = [AxisSetup.of(s.joint, GcodeAxisFile(letter=c)) for s, c in zip(setups, LETTERS, strict=False)]
         self.units = tuple(
@@ -68,6 +69,7 @@ class SimulatedBoard:
         self._part, self._free, self._deaf_until = b"", -math.inf, -math.inf
         self._out = PacedLine(self._byte_time)
         self._homing: tuple[int, float] | None = None  # axis, and the end of its homing [s]
+        self._next_busy = math.inf  # time of the next report of a long command [s]
         self._number = 0
         self.settings = {10: 1.0, 22: 1.0}
         for k, axis in enumerate(axes):
@@ -141,6 +143,9 @@ class SimulatedBoard:
         if until > self.time:
             self.planner.advance(until)
             self.time = until
+        if self._homing is not None and self.dialect == "marlin" and until >= self._next_busy:
+            self._next_busy += KEEPALIVE_S
+            self._send("echo:busy: processing", until)
         if self._homing is not None and until >= self._homing[1]:
             (i, _), self._homing = self._homing, None
             self.planner.set_position(i, 0.0)
@@ -227,6 +232,8 @@ class SimulatedBoard:
             return "ok"
         if self.alarm:
             return "error:9"
+        if text[0] not in "$GFNMXYZABC":
+            return "error:1"
         if match := re.fullmatch(r"G43\.1Z([\d.]+)", text):
             self.mark = float(match[1])
             return "ok"
@@ -245,17 +252,21 @@ class SimulatedBoard:
         distance = abs(unit.true_position) * unit.setup.joint.microstep
         seconds = distance / unit.setup.home_speed
         self.planner.put(goal, seconds)
-        self._homing = (i, self.time + seconds + HOME_PAUSE_S)
+        self._homing, self._next_busy = (i, self.time + seconds + HOME_PAUSE_S), self.time + KEEPALIVE_S
         return ""
 
     def _move(self, words: str, offsets: Sequence[float]) -> str:
         found = re.findall(r"([A-Z])(-?\d+(?:\.\d*)?)", words)
         if "".join(letter + number for letter, number in found) != words:
             return "error:2"
-        values = {letter: float(number) for letter, number in found}
+        values: dict[str, float] = {letter: float(number) for letter, number in found}
         feed = values.pop("F", 0.0)
         if feed <= 0.0:
             return "error:22"
+        if self.settings.get(20) and any(
+            abs(v) > self.settings.get(130 + LETTERS.index(c), math.inf) for c, v in values.items()
+        ):
+            return "error:15"
         target = list(self.planner.end)
         for i, _ in enumerate(self.units):
             if LETTERS[i] in values:
@@ -267,9 +278,9 @@ class SimulatedBoard:
         return "ok"
 
     def _marlin(self, text: str) -> None:
-        if match := re.fullmatch(r"N(\d+) (.*)\*(\d+)", text):
+        if match := re.fullmatch(r"N(-?\d+) (.*)\*(\d+)", text):
             number, check = int(match[1]), 0
-            for byte in f"N{number} {match[2]}".encode():
+            for byte in f"N{match[1]} {match[2]}".encode():
                 check ^= byte
             problem = "checksum mismatch" if check != int(match[3]) else ""
             if not problem and number != self._number + 1 and not match[2].startswith("M110"):
@@ -277,7 +288,8 @@ class SimulatedBoard:
             if problem:
                 self._resend(problem)
                 return
-            self._number, text = number, match[2]
+            renumbered = re.fullmatch(r"M110 N(-?\d+)", match[2])
+            self._number, text = int(renumbered[1]) if renumbered else number, match[2]
         elif "*" in text or text.startswith("N"):
             self._resend("checksum mismatch")
             return
@@ -296,11 +308,9 @@ class SimulatedBoard:
             answer = self._move(text[2:].replace(" ", ""), self.offsets)
             return "ok" if answer == "ok" else f"echo:Unknown command: {text}\nok"
         match code:
-            case "M114":
-                position = self.planner.position
-                logical = "".join(
-                    f"{LETTERS[i]}:{self.planner.end[i] + self.offsets[i]:.2f} " for i in range(len(position))
-                )
+            case "M114":  # without R the end of the queue
+                position = self.planner.position if self.realtime_position and text == "M114 R" else self.planner.end
+                logical = "".join(f"{LETTERS[i]}:{p + self.offsets[i]:.2f} " for i, p in enumerate(position))
                 steps = " ".join(f"{LETTERS[i]}:{round(p / self.units[i].setup.unit)}" for i, p in enumerate(position))
                 return f"{logical}Count {steps}\nok"
             case "M115":

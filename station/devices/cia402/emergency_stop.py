@@ -1,8 +1,7 @@
 """Emergency stop of CANopen drives without the control process, directly through their adapter.
 
-A dying control process may keep the port open for some milliseconds, and may have sent half a line. So this module
-retries to open the port, and repeats the quick stop of all drives until each drive reports its stop. Without this
-module the drives stop by themselves, because the heartbeat of the control process is missing.
+The quick stop of all drives is repeated until each drive reports its stop. Without this module the drives stop by
+themselves, because the heartbeat of the control process is missing.
 """
 
 from collections.abc import Mapping, Set
@@ -25,10 +24,10 @@ from station.devices.cia402.protocol import (
 )
 from station.devices.cia402.setup import Cia402File
 from station.devices.cia402.stages import BAUD, drive_setups
-from station.devices.interfaces import Clock, EmergencyStop, NotStopped
-from station.devices.links.link import LinkError, SerialLink, lock_file
+from station.devices.interfaces import Clock, EmergencyStop
+from station.devices.links.link import SerialLink, lock_file
+from station.devices.stop_on_port import TIMEOUT_S, stop_on_port
 
-TIMEOUT_S = 2.0  #: time limit of the stop [s]
 REPEAT_INTERVAL_S = 0.02  #: interval of quick stops and SYNCs [s]
 
 
@@ -46,44 +45,23 @@ def stop_drives(port: str, nodes: Set[int], clock: Clock, patience: float = TIME
     Raises:
         NotStopped: a drive has not reported that it is at rest.
     """
-    start, problem = clock.now(), "no time"
-    link: SerialLink | None = None
-    reader, last = FrameReader(), dict[int, bytes]()
-    commanded, moving = 0.0, set(nodes)
+    reader, last, moving, drives = FrameReader(), dict[int, bytes](), set(nodes), f"{len(nodes)} drives"
     stop = b"".join(
         encode(Frame(COMMAND + node, QUICK_STOP.to_bytes(2, "little") + bytes(4))) for node in sorted(nodes)
     )
-    try:
-        while clock.now() - start < patience:
-            try:
-                if link is None:
-                    link = SerialLink(port, BAUD)
-                    link.write(OPEN_ADAPTER)
-                link.write(stop + encode(Frame(SYNC, b"")))
-                commanded = commanded or clock.now()
-                clock.sleep(REPEAT_INTERVAL_S)
-                for identifier, data in reader.feed(link.read()):
-                    node, word = identifier - STATUS, int.from_bytes(data[:2], "little")
-                    if node in moving and len(data) == 6:
-                        if word & STATE_MASK != ENABLED and last.get(node) == data[2:]:
-                            moving.discard(node)
-                        last[node] = data[2:]
-                if not moving:
-                    delay = 1e3 * (commanded - start)
-                    return f"{len(nodes)} drives on {port} stop, commanded {delay:.0f} ms after detection"
-            except LinkError as error:
-                problem = str(error)
-                if link is not None:
-                    link.close()
-                link = None
-                clock.sleep(0.002)
-    finally:
-        if link is not None:
-            link.close()
-    if not commanded:
-        raise NotStopped(f"the drives on {port} cannot be commanded to stop ({problem}): press the emergency stop")
-    silent = ", ".join(map(str, sorted(moving)))
-    raise NotStopped(
-        f"of {len(nodes)} drives on {port} node {silent} was commanded to stop and has not confirmed:"
-        " press the emergency stop"
-    )
+
+    def confirmed(link: SerialLink) -> bool:
+        clock.sleep(REPEAT_INTERVAL_S)
+        for identifier, data in reader.feed(link.read()):
+            node, word = identifier - STATUS, int.from_bytes(data[:2], "little")
+            if node in moving and len(data) == 6:
+                if word & STATE_MASK != ENABLED and last.get(node) == data[2:]:
+                    moving.discard(node)
+                last[node] = data[2:]
+        return not moving
+
+    def unconfirmed() -> str:
+        return f"node {', '.join(map(str, sorted(moving)))}"
+
+    stop += encode(Frame(SYNC, b""))
+    return stop_on_port(port, BAUD, stop, confirmed, clock, patience, drives, unconfirmed, OPEN_ADAPTER)

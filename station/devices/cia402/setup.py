@@ -11,6 +11,7 @@ from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.cia402.protocol import HOST_NODE, CanError
 from station.devices.config import Serial
+from station.devices.counted_joint import CountedJoint, home_of
 
 DEADLINE_S = 0.030  #: default of the longest silence of a drive [s]
 MAX_COUNT = 2**31 - 1  #: largest value of a position or velocity in a drive
@@ -57,17 +58,13 @@ class Cia402File(Strict):
 
 
 @dataclass(frozen=True)
-class DriveSetup:
+class DriveSetup(CountedJoint):
     """One drive: the joint that it moves, and the conversion of its counts. `joint.microstep` is one count."""
 
-    joint: JointFile
     node: int
-    home_at: float  #: joint position at the home sensor [rad or m]
-    home_speed: float  #: speed of homing [rad/s or m/s]
     homing_method: int
     make: Make = "generic"
     velocity_unit: float = 1.0  #: counts per second of one unit of velocity
-    backwards: bool = False  #: whether the drive's count increases when the joint's position decreases
     serial: int | None = None  #: expected serial number; None: any
 
     @classmethod
@@ -78,18 +75,15 @@ class DriveSetup:
             CanError: the sensor of a translation is inside the travel, a value is out of its range, or the counts per
                 turn are missing.
         """
-        turns = joint.motion == "rotation"
-        start = joint.upper if file.backwards else joint.lower
-        home_at = (0.0 if turns else start) if file.home_at is None else file.home_at
-        unit = 1.0
+        turns, (home_at, home_speed), unit = joint.motion == "rotation", home_of(joint, file), 1.0
         if file.make != "generic":
             if file.counts_per_turn is None:
                 raise CanError(f"{joint.name}: counts_per_turn is missing; a drive of make '{file.make}' needs it")
             unit = file.counts_per_turn / UNITS_PER_TURN[file.make]
         setup = cls(
-            joint, file.node, home_at, 0.25 * joint.speed if file.home_speed is None else file.home_speed,
+            joint, home_at, home_speed, file.node,
             (21 if turns else 17) if file.homing_method is None else file.homing_method,
-            file.make, unit, file.backwards, file.serial,
+            file.make, unit, file.serial, backwards=file.backwards,
         )  # fmt: skip
         if not turns and setup.minimum < 0:
             raise CanError(
@@ -108,24 +102,9 @@ class DriveSetup:
         return setup
 
     @property
-    def step(self) -> float:
-        """Change of the joint's position per count [rad or m]."""
-        return -self.joint.microstep if self.backwards else self.joint.microstep
-
-    @property
     def speed_scale(self) -> float:
         """Velocity units of the drive per joint velocity [unit per rad/s or m/s]."""
         return 1.0 / (self.step * self.velocity_unit)
-
-    @property
-    def minimum(self) -> int:
-        """Lower software limit: the first whole count inside the joint's travel."""
-        return math.ceil(min(self._ends) - 1e-6)
-
-    @property
-    def maximum(self) -> int:
-        """Upper software limit: the last whole count inside the joint's travel."""
-        return math.floor(max(self._ends) + 1e-6)
 
     @property
     def top(self) -> int:
@@ -137,20 +116,6 @@ class DriveSetup:
         """Acceleration and deceleration, at least those that braking distances assume [velocity unit/s]."""
         return math.ceil(self.joint.acceleration * abs(self.speed_scale))
 
-    @property
-    def turn(self) -> int:
-        """One turn of a rotation stage [counts]."""
-        return round(2.0 * math.pi / self.joint.microstep)
-
     def units(self, speed: float) -> int:
         """Return a speed [rad/s or m/s] in the drive's unit."""
         return round(speed * abs(self.speed_scale))
-
-    def position(self, counts: float, /) -> float:
-        """Return the joint position at a count of the drive [rad or m]."""
-        return self.home_at + self.step * counts
-
-    @property
-    def _ends(self) -> tuple[float, float]:
-        """Ends of the joint's travel [counts]."""
-        return (self.joint.lower - self.home_at) / self.step, (self.joint.upper - self.home_at) / self.step

@@ -31,7 +31,7 @@ from station.devices.gcode.protocol import (
     parse,
 )
 from station.devices.gcode.setup import DEADLINE_S, VELOCITY_DATA, AxisSetup
-from station.devices.stages_on_line import AxisLost
+from station.devices.stages_on_line import AxisLost, LineFault
 from station.devices.zaber.chain import LineCounts
 from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
 
@@ -47,6 +47,12 @@ PATH_SEGMENTS = 32  #: number of segments that are compared with a reading; the 
 MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
 UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
 MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
+RESEND_S = 0.020  #: time in which further requests for the same line belong to lines in transit [s]
+BLIND = 0.5  #: fraction of the deadline after which a missing position stops the axes until it returns
+MAX_SKEW_S = 0.002  #: longest time between the two positions of one Marlin reply [s]
+MAX_PROJECTED = 5  #: replies in a row at the end of the queue that are a fault
+#: Ends an unfinished line of GRBL and makes it invalid, so that the board does not execute a part of a command.
+END_LINE = b"#\n"
 OWN_RESET_S = 3.0  #: time after a reset by the host in which its banner and alarm are expected [s]
 
 
@@ -67,15 +73,7 @@ class Answer(NamedTuple):
     missing: bool = False
 
 
-class BoardFault(NamedTuple):
-    """Event: the board cannot continue. Every axis gets one."""
-
-    axis: int
-    text: str
-    must_home: bool
-
-
-Event = Answer | AxisLost | BoardFault
+Event = Answer | AxisLost | LineFault
 
 
 class GcodeBoard:
@@ -97,9 +95,13 @@ class GcodeBoard:
         self.lost: set[int] = set()  #: axes that no longer answer
         self.stopping = False  #: whether a stop is unconfirmed
         self.polling = False  #: whether the host queries positions
+        self.checking = False  #: whether `offset` is known, so that Marlin's two positions must agree
         self.origin = [0.0 for _ in count]  #: the board's count at the coordinate 0 of each axis
         self.offset = [0.0 for _ in count]  #: Marlin: logical coordinate minus the stepper's coordinate [unit]
         self.state = ""  #: GRBL's last state
+        self.starting = False  #: whether a restart of the board is not a fault, because the host sets it up afterwards
+        self.restarted = False  #: whether the board has restarted
+        self.received_at = -math.inf  #: time of the last received byte [s]
         self.reading: Position | None = None  #: last reading
         self._letters = [s.letter for s in self.setups]
         self._byte_time, self._deadline = 10.0 / (baud or BAUDS[dialect]), deadline
@@ -113,14 +115,18 @@ class GcodeBoard:
         self._future: deque[tuple[float, int, float]] = deque()  # speeds of the estimates that start later
         self._free = self._next_poll = self._stopped_at = -math.inf
         self._reset_until = self._next_stop = -math.inf
-        self._unanswered: float | None = None  # time of the oldest query without an answer [s]
+        self._unverified: float | None = None  # time of the first query after the last accepted reading [s]
+        self._doubt = ""  # why the last reading was not accepted
         self._waiting: deque[tuple[float, Literal["segment", "query", "request"]]] = deque()  # lines without `ok`
         self._request: Request | None = None
         self._requested: float | None = None
         self._lines: list[str] = []
-        self._urgent = self._home_ended = self._killed = False
-        self._number, self._resend = 0, -1
-        self._rejections = 0
+        self._urgent = self._home_ended = self._killed = self._must_reset = False
+        self._number = 0
+        self._resent = (-1, -math.inf)  # number that Marlin requested last, and when [s]
+        self._blind = False  # whether the axes stop because their positions are missing
+        self._skip_ok = False  # whether the next `ok` belongs to a request for a line, not to a line
+        self._rejections = self._projected = 0
 
     # Commands of the driver
 
@@ -133,6 +139,7 @@ class GcodeBoard:
         """Empty the planner before any other command, again and again until the board is at rest."""
         self._desired = [0.0 for _ in self.setups]
         self.cancel()
+        self._blind, self.sent = False, [0 for _ in self.setups]
         if self.stopping and not self._home_ended:
             return
         self.stopping = self._urgent = True
@@ -148,10 +155,14 @@ class GcodeBoard:
             self._home_ended = True
         self._request = None
         self._waiting.clear()
-        self._unanswered = None
+        self._unverified, self._skip_ok = None, False
+
+    def reset_board(self) -> None:
+        """Reset GRBL; some alarms end by nothing else."""
+        self._must_reset = self._urgent = True
 
     def give_up(self) -> None:
-        """Count every axis as lost, because the port is lost."""
+        """Count every axis as lost, because the board cannot be reached."""
         self.stopping = False
         self.lost |= set(range(len(self.setups)))
 
@@ -165,95 +176,150 @@ class GcodeBoard:
         for estimate in self.estimates:
             estimate.advance(now)
         events: list[Event] = []
-        for line in self.reader.feed(data) if data else ():
-            self._take(parse(self.dialect, line, self._letters), events, now)
+        if data:
+            self.received_at = now
+            for line in self.reader.feed(data):
+                self._take(parse(self.dialect, line, self._letters), events, now)
         if self._request is not None and self._requested is not None:
             if now - self._requested > self._request.timeout:
                 self.cancel()
                 events.append(Answer(missing=True))
-        elif self._unanswered is not None and now - self._unanswered > self._deadline and not self.lost:
-            self.lost |= set(range(len(self.setups)))
-            self.stopping = False
-            why = f"no answer of the board for {1e3 * (now - self._unanswered):.0f} ms"
+        elif self._unverified is None or self.starting or self.lost:
+            pass
+        elif now - self._unverified > self._deadline:
+            self.give_up()
+            why = f"no {'valid position' if self._doubt else 'answer'} of the board"
+            why += f" for {1e3 * (now - self._unverified):.0f} ms{self._doubt}"
             events += [AxisLost(i, why) for i in sorted(self.lost)]
+        elif now - self._unverified > BLIND * self._deadline and any(self.sent) and not self.stopping:
+            self.stopping = self._urgent = self._blind = True  # a damaged line may move an axis anywhere
         if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
             self._waiting.clear()  # a reply was damaged
             self.counts[0].missed += 1
-            self._renumber()
         return events
 
     def _take(self, message: Message, events: list[Event], now: float) -> None:
-        if not isinstance(message, Info | Failure):
-            self._unanswered = None
         match message:
             case Ok() | Failure():
                 self._acknowledge(message, events)
             case Position():
-                self._unanswered = None
                 self.state = message.state
                 self._read(message, events, now)
             case Busy():
-                self._unanswered = None
+                if self._request is not None and self._requested is not None and not self._request.homing:
+                    self._requested = now
             case Resend(number):
-                self._resend = number
-            case Started(banner):
-                self._number = 0
-                if now > self._reset_until:
-                    self._break(events, f"restarted by itself (it sent '{banner}') and lost the position", True)
+                self._send_again(number, now)
+            case Started():
+                self._number, self.restarted = 0, True
+                for estimate in self.estimates:
+                    estimate.forget()
+                if now > self._reset_until and not self.starting:
+                    self._break(events, "has reset itself and lost its position", True)
             case Alarm(text):
-                if now > self._reset_until:
+                if now > self._reset_until and not self.starting:
                     self._break(events, f"reports: {text}", True)
             case Info(text):
                 self._lines.append(text)
+                if "MPos" in text or "Count" in text:
+                    self._doubt = "; its replies are damaged"
 
     def _break(self, events: list[Event], text: str, must_home: bool) -> None:
         self._waiting.clear()
         self._target = None
-        events += [BoardFault(i, text, must_home) for i in range(len(self.setups))]
+        events.append(LineFault(f"the board {text}", must_home))
 
     def _acknowledge(self, message: Ok | Failure, events: list[Event]) -> None:
         """Assign `ok` or an error to the oldest line without one."""
         if self.dialect == "marlin" and isinstance(message, Failure):
             self._lines.append(message.text)  # `ok` follows
             return
+        if self._skip_ok:
+            self._skip_ok = False
+            return
         kind = self._waiting.popleft()[1] if self._waiting else ""
+        error = message.text if isinstance(message, Failure) else ""
         if kind == "request" and self._request is not None:
-            error = message.text if isinstance(message, Failure) else ""
+            error = error or next((line for line in self._lines if "Unknown command" in line), "")
             answer = Answer(not error, tuple(self._lines), error)
             self._request = None
             events.append(answer)
         elif kind == "segment":
-            self._rejections = self._rejections + 1 if isinstance(message, Failure) else 0
-            if isinstance(message, Failure) and self._rejections >= MAX_REJECTIONS:
-                self._break(events, f"rejects its motions: {message.text}", False)
-        self._renumber()
+            self._rejections = self._rejections + 1 if error else 0
+            if self._rejections >= MAX_REJECTIONS:
+                self._break(events, f"rejects its motions: {error}", False)
 
-    def _renumber(self) -> None:
-        """Continue with the number that Marlin requested, once no line is in transit; targets are absolute."""
-        if not self._waiting and self._resend >= 0:
-            self._number, self._resend = self._resend - 1, -1
+    def _send_again(self, number: int, now: float) -> None:
+        """Continue with the line number that Marlin requested; Marlin has dropped all later lines."""
+        last, when = self._resent
+        self._skip_ok = True
+        if number == last and now - when < RESEND_S:
+            return
+        self._resent, self._number = (number, now), number - 1
+        self._waiting.clear()  # targets are absolute, so the next segment replaces the dropped ones
+        self._next_poll = now
+        if self._request is not None:
+            self._requested = None
 
     def _read(self, position: Position, events: list[Event], now: float) -> None:
-        before, self.reading = self.reading, position
+        """Process a position; a reading that disagrees with itself or with the estimates is dropped."""
         raw = self.raw(position)
-        if before is not None and before.values != position.values:  # a board at rest has no queue
+        if not self._agrees(position):
+            self._doubt = "; its coordinates disagree with its counts of steps"
+            self.counts[0].rejected += 1
+            return
+        before, self.reading = self.reading, position
+        moved = before is not None and before.values != position.values
+        if moved:  # a board at rest has no queue
+            self._check_projection(raw, events, now)
             self._follow_pace(raw, now)
+        accepted = True
         for i, (estimate, setup) in enumerate(zip(self.estimates, self.setups, strict=True)):
             if estimate.correct(round(raw[i] - self.origin[i]) - setup.minimum):
                 self.counts[i].readings += 1
                 continue
+            accepted = False
             self.counts[i].rejected += 1
+            self._doubt = f"; {setup.joint.name} does not move as commanded"
             if estimate.rejected >= MAX_UNEXPECTED_READINGS:
                 estimate.forget()
-                events.append(BoardFault(i, "does not move as commanded; was it moved by another program?", True))
-            elif estimate.rejected == 1 and self.dialect == "grbl" and not self.stopping:
-                self.stopping = self._urgent = True  # a damaged line without checksum may have moved an axis
-        if self.stopping and not self._urgent and before is not None and before.values == position.values:
+                text = f"does not move {setup.joint.name} as commanded; was it moved by another program?"
+                self._break(events, text, True)
+            elif estimate.rejected == 1 and not self.stopping:
+                self.stopping = self._urgent = True  # a damaged line may have moved an axis
+        if accepted:
+            self._unverified, self._doubt = None, ""
+        if self.stopping and not self._urgent and before is not None and not moved:
             doubtful = any(estimate.doubtful for estimate in self.estimates)
             at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
             queued = any(kind == "segment" for _, kind in self._waiting)
             if at_rest and not queued and now - self._stopped_at > POLL_S:
-                self.stopping, self._target = False, None
+                self.stopping, self._blind, self._target = False, False, None
+                self.sent = [0 for _ in self.setups]
+
+    def _agrees(self, position: Position) -> bool:
+        """Return whether Marlin's coordinates agree with its counts of steps."""
+        if not self.checking or not position.logical:
+            return True
+        return all(
+            abs(logical - offset - steps * setup.unit) <= 0.006 + (2.0 + MAX_SKEW_S * setup.top) * setup.unit
+            for logical, offset, steps, setup in zip(
+                position.logical, self.offset, position.values, self.setups, strict=True
+            )
+        )
+
+    def _check_projection(self, raw: Sequence[float], events: list[Event], now: float) -> None:
+        """Detect a firmware that ignores the R of `M114 R` and so reports the end of its queue as its position."""
+        if self.dialect == "grbl" or self._planned - now < 2.0 * SEGMENT_S or not self._last:
+            return
+        ends = [last + s.minimum + origin for last, s, origin in zip(self._last, self.setups, self.origin, strict=True)]
+        ahead = max(abs(last - e.position) for last, e in zip(self._last, self.estimates, strict=True))
+        at_end = ahead > 8.0 * MIN_STEPS and all(abs(a - b) < 2.0 for a, b in zip(raw, ends, strict=True))
+        self._projected = self._projected + 1 if at_end else 0
+        if self._projected == MAX_PROJECTED:
+            self._break(
+                events, "reports the end of its queue as its position: build the firmware with M114_REALTIME", False
+            )
 
     def _follow_pace(self, raw: Sequence[float], now: float) -> None:
         """Correct the time at which the queue is empty by the segment in which the board was at the reading `raw`.
@@ -294,13 +360,17 @@ class GcodeBoard:
         if self.lost and not self._urgent:
             return b""
         self._free = max(self._free, now)
+        if self._must_reset:
+            self._must_reset = self._urgent = False
+            self._reset_until = now + OWN_RESET_S
+            return RESET
         if self.stopping and (self._urgent or now >= self._next_stop):
             data = self._stop_bytes(now)
         elif self._request is not None:
             return self._request_bytes(now)
         else:
             data = b""
-        if (self.polling or self.stopping) and now >= self._next_poll and self._resend < 0:
+        if (self.polling or self.stopping) and now >= self._next_poll:
             self._next_poll = now + POLL_S
             data += self._query(now)
         if not self.stopping:
@@ -311,16 +381,20 @@ class GcodeBoard:
         first, self._urgent, self._next_stop = self._urgent, False, now + POLL_S
         if first:
             self._stopped_at = now
-            self.sent = [0 for _ in self.setups]
+            if not self._blind:  # otherwise a lost axis would seem to be at rest
+                self.sent = [0 for _ in self.setups]
             self._future.clear()
             self._speeds = [math.nan for _ in self.setups]
             for i in range(len(self.setups)):
                 self._estimate(i, 0.0, now + PROCESSING_S)
             self._planned, self._accumulated = -math.inf, 0.0
-        data = JOG_CANCEL if self.dialect == "grbl" else b"M410\n"
-        if self.dialect == "marlin":
+        data = JOG_CANCEL if self.dialect == "grbl" else b"\nM410\n"
+        if first and self.dialect == "grbl":
+            data += END_LINE
+        if first or self.dialect == "marlin":
             self._waiting.append((now, "query"))
-        if self._home_ended or (now - self._stopped_at > UNCONFIRMED_STOP_S and not self._killed):
+        answers = self._unverified is None or now - self._unverified < self._deadline
+        if self._home_ended or (answers and now - self._stopped_at > UNCONFIRMED_STOP_S and not self._killed):
             self._killed, self._home_ended = True, False
             if self.dialect == "grbl":
                 data += RESET
@@ -331,13 +405,13 @@ class GcodeBoard:
         return data
 
     def _query(self, now: float) -> bytes:
-        if self._unanswered is None:
-            self._unanswered = now
+        if self._unverified is None:
+            self._unverified = now
         if self.dialect == "grbl":
             data = RESUME + QUERY if self.state == "Hold" else QUERY
             self._free += len(data) * self._byte_time
         else:
-            data = self._line("M114", "query", now)
+            data = self._line("M114 R", "query", now)
         for i, estimate in enumerate(self.estimates):
             self.counts[i].polls += 1
             estimate.expect(self._free + (PROCESSING_S if self.dialect == "marlin" else 0.0))
@@ -347,7 +421,7 @@ class GcodeBoard:
         request = self._request
         if request is None or self._requested is not None or self._waiting:
             return b""
-        self._requested, self._unanswered = now, None
+        self._requested, self._unverified = now, None
         self._lines.clear()
         if request.text.startswith("M110"):
             self._number = -1
@@ -367,7 +441,7 @@ class GcodeBoard:
         """Return the segments by which the queue lasts for its time again."""
         if not any(self._desired) and not any(self._speeds):
             return b""
-        if not all(estimate.known for estimate in self.estimates) or self._resend >= 0:
+        if not all(estimate.known for estimate in self.estimates):
             return b""
         data = b""
         if not any(self._desired):

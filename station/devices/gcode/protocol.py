@@ -24,12 +24,16 @@ GRBL_ERRORS = {
     7: "the settings in the board's memory were lost",
     8: "this $ command needs an idle board",
     9: "the board is locked by an alarm or a jog",
+    10: "soft limits need homing ($20, $22)",
     11: "the line is too long",
     15: "the target is outside the board's travel ($130 to $132)",
     16: "the jog command is invalid",
     20: "the firmware does not know this G-code",
     22: "the feed rate is missing",
+    30: "G53 needs G0 or G1",
     33: "the target is invalid",
+    36: "a word of the line is not used by its command",
+    37: "G43.1 does not apply to this axis",
 }
 GRBL_ALARMS = {
     1: "a limit switch was hit, the position is lost",
@@ -96,9 +100,14 @@ class Info(NamedTuple):
 
 Message = Ok | Failure | Position | Alarm | Started | Resend | Busy | Info
 
-_NUMBERS = r"-?\d{1,9}\.\d{1,9}(?:,-?\d{1,9}\.\d{1,9})*"
-_GRBL_STATUS = re.compile(rf"<([A-Z][a-z]+)(?::\d)?\|MPos:({_NUMBERS})(?:\|[A-Za-z]+:[-\w.,]*)*>")
-_MARLIN_POSITION = re.compile(r"((?:[A-Z]:-?\d{1,9}\.\d{1,9} )+)Count ([A-Z]:-?\d{1,9}(?: [A-Z]:-?\d{1,9})*)")
+#: Each firmware prints a fixed number of decimals and no leading zeros, so most lost characters show.
+_WHOLE = r"-?(?:0|[1-9]\d{0,8})"
+_GRBL_STATUS = re.compile(
+    r"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep|Tool)(?::\d{1,2})?"
+    rf"\|MPos:({_WHOLE}\.\d{{3}}(?:,{_WHOLE}\.\d{{3}})*)"
+    r"(?:\|(?:Bf|Ln):[\d,]+)*\|FS?:\d+(?:\.\d)?(?:,\d+)*(?:\|[A-Z][A-Za-z]*:[-\w.,]*)*>"
+)
+_MARLIN_POSITION = re.compile(rf"((?:[A-Z]:{_WHOLE}\.\d\d )+)Count ([A-Z]:{_WHOLE}(?: [A-Z]:{_WHOLE})*)")
 
 
 def error_text(number: int) -> str:
@@ -151,8 +160,10 @@ def _parse_marlin(line: str, letters: Sequence[str]) -> Message:
         text = line.removeprefix("Error:").strip()
         return Alarm(text) if "halted" in text or "kill" in text else Failure(text)
     if match := _MARLIN_POSITION.fullmatch(line):
-        logical, steps = ({w[0]: float(w[2:]) for w in match[k].split()} for k in (1, 2))
-        if all(letter in logical and letter in steps for letter in letters):
+        words = [[(w[0], float(w[2:])) for w in match[k].split()] for k in (1, 2)]
+        names = [[letter for letter, _ in part if letter != "E"] for part in words]
+        logical, steps = map(dict, words)
+        if names[0] == names[1] and len(steps) == len(names[1]) and set(letters) <= set(names[1]):
             return Position(tuple(steps[c] for c in letters), "", tuple(logical[c] for c in letters))
     return Info(line)
 

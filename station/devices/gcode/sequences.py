@@ -5,7 +5,7 @@ import re
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, Literal
 
-from station.devices.gcode.board import Answer, BoardFault, GcodeBoard, Request
+from station.devices.gcode.board import Answer, GcodeBoard, Request
 from station.devices.gcode.protocol import Dialect, GcodeError
 from station.devices.gcode.setup import AxisSetup
 from station.devices.stages_on_line import AxisFault
@@ -14,6 +14,8 @@ from station.devices.zaber.sequences import Homing, HomingStep
 #: Offset that marks a homed board: tool length (GRBL) or work offset (Marlin). It vanishes when the board restarts.
 MARK = 7.77
 STOP_TIMEOUT_S = 5.0  #: time in which the board must confirm a stop [s]
+SILENT = "the board does not answer; is it powered and plugged in, and is its baud rate right?"
+QUIET_S = 0.06  #: silence after which no reply is outstanding [s]
 MAX_ATTEMPTS = 4  #: largest number of times that a request without a reply is sent
 
 Script = Generator[Request | float, Answer | None, None]
@@ -49,7 +51,7 @@ class GcodeState:
 
     def fault(self, event: object, connected: bool) -> AxisFault | None:  # noqa: ARG002 - the same in every condition
         """Return the fault that an event of the board means."""
-        return AxisFault(event.axis, event.text, event.must_home) if isinstance(event, BoardFault) else None
+        return None
 
     def warning(self, i: int) -> str:
         """Return a warning about the firmware; empty without one."""
@@ -70,12 +72,24 @@ class GcodeState:
         }
 
     def connect(self) -> Script:
-        """Stop the board, check and set its parameters, and wait for its positions."""
-        yield from self._stopped()
-        if self.dialect == "grbl":
-            marked = yield from self._set_up_grbl()
+        """Stop the board, check and set its parameters, and wait for its positions.
+
+        Some boards restart when the port is opened; then the setup starts again.
+        """
+        line, marked = self.line, False
+        line.starting = line.restarted = True
+        for _ in range(MAX_ATTEMPTS):
+            yield from self._stopped()
+            if line.state == "Alarm":
+                line.reset_board()
+                yield from self._quiet()
+            line.restarted = False
+            marked = yield from (self._set_up_grbl() if self.dialect == "grbl" else self._set_up_marlin())
+            if not line.restarted:
+                break
         else:
-            marked = yield from self._set_up_marlin()
+            raise GcodeError("the board restarts again and again; is its power supply sufficient?")
+        line.starting = False
         self.homed = [
             ((marked and not self._here) or (self._here and self.homed[i])) and i not in self.home_again
             for i in range(len(self.setups))
@@ -101,27 +115,46 @@ class GcodeState:
         give_up = self.now + STOP_TIMEOUT_S
         while self.line.stopping:
             if self.now > give_up:
+                if self.line.reading is None:
+                    self.line.give_up()
+                    raise GcodeError(SILENT)
                 raise GcodeError("the board has not confirmed its stop")
             yield 0.02
-        if self.line.lost:
-            raise GcodeError("the board does not answer; is it powered and plugged in, and is its baud rate right?")
+        yield from self._quiet()
+
+    def _quiet(self) -> Script:
+        """Wait until the board has sent every reply to earlier lines, which would be taken for later replies."""
+        self.line.polling = False
+        start = self.now
+        while self.now - max(self.line.received_at, start) < QUIET_S:
+            if self.now - start > STOP_TIMEOUT_S:
+                raise GcodeError("the board sends without a pause; is its baud rate right?")
+            yield 0.01
+        self.line.cancel()
 
     def _set_up_grbl(self) -> Generator[Request | float, Answer | None, bool]:
-        settings: dict[int, float] = {}
-        for line in (yield from self._need("$$")):
-            if match := re.match(r"\$(\d+)=(-?[\d.]+)", line):
-                settings[int(match[1])] = float(match[2])
+        missing = ["$$"]
+        for _ in range(MAX_ATTEMPTS):
+            found = (re.fullmatch(r"\$(\d+)=(-?[\d.]+)", line) for line in (yield from self._need("$$")))
+            missing = self._missing_settings({int(match[1]): float(match[2]) for match in found if match})
+            if not missing:
+                break
+            for text in missing:  # GRBL has no checksums, so the settings are read again
+                yield from self._need(text)
+        else:
+            raise GcodeError(f"the board does not accept its settings {', '.join(missing)}")
+        offsets = yield from self._need("$#")
+        return f"[TLO:{MARK:.3f}]" in offsets
+
+    def _missing_settings(self, settings: Mapping[int, float]) -> list[str]:
+        """Return the settings of GRBL to write; raises GcodeError for those that only the operator may change."""
+        values = {10: 1.0}
         for setup in self.setups:
             k = "XYZABC".index(setup.letter)
             self._check_steps(setup, settings.get(100 + k), f"${100 + k}")
-            values = (110, 60.0 * setup.joint.speed * setup.units), (120, setup.joint_acceleration * setup.units)
-            for base, value in values:
-                if abs(settings.get(base + k, 0.0) - value) > 1e-3 * value:
-                    yield from self._need(f"${base + k}={value:.3f}")
-        if settings.get(10) != 1:
-            yield from self._need("$10=1")
-        offsets = yield from self._need("$#")
-        return f"[TLO:{MARK:.3f}]" in offsets
+            values[110 + k] = 60.0 * setup.joint.speed * setup.units
+            values[120 + k] = setup.joint_acceleration * setup.units
+        return [f"${k}={v:.3f}" for k, v in values.items() if abs(settings.get(k, 0.0) - v) > 1e-3 * v]
 
     def _set_up_marlin(self) -> Generator[Request | float, Answer | None, bool]:
         yield from self._need("M110 N0")
@@ -157,13 +190,16 @@ class GcodeState:
             )
 
     def _read_offsets(self) -> Script:
-        """Read Marlin's work offsets at rest."""
-        self.line.polling, self.line.reading = True, None
-        give_up = self.now + 1.0
-        while (reading := self.line.reading) is None or not reading.logical:
+        """Read Marlin's work offsets at rest, by two equal replies."""
+        line = self.line
+        line.polling, line.checking, line.reading = True, False, None
+        give_up, first = self.now + 1.0, line.reading
+        while first is None or line.reading is first or line.reading != first:
             if self.now > give_up:
                 raise GcodeError("the board does not report its position")
-            yield 0.01
+            first = line.reading
+            yield 0.03
+        reading, line.checking = first, True
         pairs = zip(reading.logical, reading.values, self.setups, strict=True)
         self.line.offset = [logical - steps * setup.unit for logical, steps, setup in pairs]
         if all(abs(offset - MARK) < 0.02 for offset in self.line.offset):
@@ -182,6 +218,8 @@ class GcodeState:
         setup, estimate = self.setups[i], self.line.estimates[i]
         self.homed[i] = False
         if self._here and self.line.reading is not None:
+            if self.line.state == "Alarm":
+                yield from self._need("$X")
             self.line.origin[i] = self._origin[i] = self.line.raw(self.line.reading)[i]
         else:
             estimate.forget(adrift=True)
@@ -214,12 +252,14 @@ class GcodeState:
                 self.homed[i] = False
 
     def _need(self, text: str, timeout: float = 1.0, homing: bool = False) -> Lines:
-        """Return the lines that answer an accepted request; it is sent again if its reply is lost."""
+        """Return the lines that answer an accepted request; it is sent again if it or its reply was damaged."""
+        problem = ""
         for _ in range(1 if homing else MAX_ATTEMPTS):
             answer = yield Request(text, timeout, homing)
             if answer is None or answer.missing:
-                continue
-            if not answer.accepted:
-                raise GcodeError(f"the board rejects '{text}': {answer.error}")
-            return answer.lines
-        raise GcodeError(f"the board does not answer '{text}'; is it powered, and is its baud rate right?")
+                problem = f"the board does not answer '{text}'; is it powered, and is its baud rate right?"
+            elif answer.accepted:
+                return answer.lines
+            else:
+                problem = f"the board rejects '{text}': {answer.error}"
+        raise GcodeError(problem)

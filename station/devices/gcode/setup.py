@@ -10,6 +10,7 @@ from pydantic import Field
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.config import Serial
+from station.devices.counted_joint import CountedJoint, home_of
 from station.devices.gcode.protocol import Dialect, GcodeError
 
 Letter = Literal["X", "Y", "Z", "A", "B", "C"]
@@ -55,34 +56,27 @@ class GcodeFile(Strict):
     joints: Mapping[Name, GcodeAxisFile] = {}
     """the axis of each joint; default: X, Y, Z, A, B, C in the order of the robot's joints"""
     deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
-    """longest silence of the board after a query before it counts as lost [s]"""
+    """longest time without a valid position before the board counts as lost; after half of it the axes stop [s]"""
 
 
 @dataclass(frozen=True)
-class AxisSetup:
+class AxisSetup(CountedJoint):
     """One axis: the joint that it moves, and the conversion of its coordinate; one count is `joint.microstep`."""
 
-    joint: JointFile
     letter: Letter
     units: float  #: units of the coordinate per joint unit
-    home_at: float  #: joint position at the coordinate 0 [rad or m]
-    home_speed: float  #: [rad/s or m/s]
     joint_acceleration: float  #: acceleration of the firmware [rad/s^2 or m/s^2]
-    backwards: bool = False
 
     @classmethod
     def of(cls, joint: JointFile, file: GcodeAxisFile) -> "AxisSetup":
         """Return the setup of a joint; raises GcodeError if the travel does not begin at the home position."""
-        turns = joint.motion == "rotation"
-        start = joint.upper if file.backwards else joint.lower
         setup = cls(
             joint,
+            *home_of(joint, file),
             file.letter,
-            file.units or (math.degrees(1.0) if turns else 1000.0),
-            (0.0 if turns else start) if file.home_at is None else file.home_at,
-            file.home_speed or 0.25 * joint.speed,
+            file.units or (math.degrees(1.0) if joint.motion == "rotation" else 1000.0),
             file.acceleration or max(joint.acceleration, joint.speed / RAMP_S),
-            file.backwards,
+            backwards=file.backwards,
         )
         if setup.joint_acceleration < joint.acceleration:
             raise GcodeError(
@@ -97,24 +91,9 @@ class AxisSetup:
         return self.joint.microstep * self.units
 
     @property
-    def step(self) -> float:
-        """Change of the joint's position per count [rad or m]."""
-        return -self.joint.microstep if self.backwards else self.joint.microstep
-
-    @property
     def speed_scale(self) -> float:
         """Data of a velocity command per joint velocity [data per rad/s or m/s]."""
         return VELOCITY_DATA / self.step
-
-    @property
-    def minimum(self) -> int:
-        """First whole count inside the joint's travel."""
-        return math.ceil(min(self._ends) - 1e-6)
-
-    @property
-    def maximum(self) -> int:
-        """Last whole count inside the joint's travel."""
-        return math.floor(max(self._ends) + 1e-6)
 
     @property
     def top(self) -> float:
@@ -125,16 +104,3 @@ class AxisSetup:
     def acceleration(self) -> float:
         """Acceleration of the firmware [counts/s^2]."""
         return self.joint_acceleration / self.joint.microstep
-
-    @property
-    def turn(self) -> int:
-        """One turn of a rotation [counts]."""
-        return round(2.0 * math.pi / self.joint.microstep)
-
-    def position(self, counts: float, /) -> float:
-        """Return the joint position at a count of the axis [rad or m]."""
-        return self.home_at + self.step * counts
-
-    @property
-    def _ends(self) -> tuple[float, float]:
-        return (self.joint.lower - self.home_at) / self.step, (self.joint.upper - self.home_at) / self.step

@@ -1,7 +1,6 @@
 """Emergency stop of Zaber ASCII stages without the control process, directly through their port.
 
-A dying control process may keep the port open for some milliseconds, and may have sent half a line. So this module
-retries to open the port, ends the line, and repeats the stop of all axes until each axis reports IDLE.
+The stop of all axes is repeated until each axis reports IDLE.
 """
 
 from collections.abc import Mapping, Set
@@ -10,8 +9,9 @@ from typing import Any
 
 from station.config.robots import RobotFile
 from station.config.strict import check
-from station.devices.interfaces import Clock, EmergencyStop, NotStopped
-from station.devices.links.link import LinkError, SerialLink, lock_file
+from station.devices.interfaces import Clock, EmergencyStop
+from station.devices.links.link import SerialLink, lock_file
+from station.devices.stop_on_port import TIMEOUT_S, stop_on_port
 from station.devices.zaber_ascii.protocol import BAUD, LineReader, Reply, encode
 from station.devices.zaber_ascii.setup import AsciiFile
 from station.devices.zaber_ascii.stages import stage_files
@@ -20,7 +20,6 @@ from station.devices.zaber_ascii.stages import stage_files
 STOP_ID, STATUS_ID = 98, 99
 #: The first character ends a line that another process may have started.
 STOP_BYTES = b"\n" + encode(0, 0, STOP_ID, "stop")
-TIMEOUT_S = 2.0  #: time limit of the stop [s]
 REPEAT_INTERVAL_S = 0.1  #: interval of stops and status queries [s]
 
 #: Device and axis numbers of the stages.
@@ -41,36 +40,18 @@ def stop_axes(port: str, axes: Axes, clock: Clock, patience: float = TIMEOUT_S) 
     Raises:
         NotStopped: an axis has not reported IDLE.
     """
-    start, moving, problem = clock.now(), set(axes), "no time"
-    link: SerialLink | None = None
-    commanded = 0.0  # time of the first stop [s]
-    try:
-        while clock.now() - start < patience:
-            try:
-                link = link or SerialLink(port, BAUD)
-                link.write(STOP_BYTES)
-                commanded = commanded or clock.now()
-                link.write(b"".join(encode(device, axis, STATUS_ID, "") for device, axis in sorted(moving)))
-                moving -= _idle_axes(link, clock, moving)
-                if not moving:
-                    delay = 1e3 * (commanded - start)
-                    return f"{len(axes)} stages on {port} stop, commanded {delay:.0f} ms after detection"
-            except LinkError as error:
-                problem = str(error)
-                if link is not None:
-                    link.close()
-                link = None
-                clock.sleep(0.002)
-    finally:
-        if link is not None:
-            link.close()
-    if not commanded:
-        raise NotStopped(f"the stages on {port} cannot be commanded to stop ({problem}): press the emergency stop")
-    silent = ", ".join(str(device) for device, _ in sorted(moving))
-    raise NotStopped(
-        f"of {len(axes)} stages on {port} number {silent} was commanded to stop and has not confirmed:"
-        " press the emergency stop"
-    )
+    moving, stages = set(axes), f"{len(axes)} stages"
+
+    def confirmed(link: SerialLink) -> bool:
+        nonlocal moving
+        link.write(b"".join(encode(device, axis, STATUS_ID, "") for device, axis in sorted(moving)))
+        moving -= _idle_axes(link, clock, moving)
+        return not moving
+
+    def unconfirmed() -> str:
+        return f"number {', '.join(str(device) for device, _ in sorted(moving))}"
+
+    return stop_on_port(port, BAUD, STOP_BYTES, confirmed, clock, patience, stages, unconfirmed)
 
 
 def _idle_axes(link: SerialLink, clock: Clock, moving: Axes) -> Axes:

@@ -10,6 +10,7 @@ from pydantic import Field
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.config import Serial
+from station.devices.counted_joint import CountedJoint, home_of
 from station.devices.zaber_ascii.chain import DEADLINE_S, Axis
 from station.devices.zaber_ascii.protocol import (
     ACCELERATION_FACTOR,
@@ -52,15 +53,11 @@ class AsciiFile(Strict):
 
 
 @dataclass(frozen=True)
-class AsciiSetup:
+class AsciiSetup(CountedJoint):
     """One stage: the joint that it moves, and the conversion of its microsteps, counted from the home sensor."""
 
-    joint: JointFile
     device: int
-    home_at: float  #: joint position at the home sensor [rad or m]
-    home_speed: float  #: speed of homing [rad/s or m/s]
     axis: int = 1
-    backwards: bool = False  #: whether the axis's count increases when the joint's position decreases
     serial: int | None = None  #: expected serial number; None: any
 
     @classmethod
@@ -70,12 +67,8 @@ class AsciiSetup:
         Raises:
             ZaberAsciiError: the sensor of a translation is inside the travel, or a value is out of its range.
         """
-        start = joint.upper if file.backwards else joint.lower
-        home_at = file.home_at
-        if home_at is None:
-            home_at = 0.0 if joint.motion == "rotation" else start
-        home_speed = 0.25 * joint.speed if file.home_speed is None else file.home_speed
-        setup = cls(joint, file.device, home_at, home_speed, file.axis, file.backwards, file.serial)
+        home_at, home_speed = home_of(joint, file)
+        setup = cls(joint, home_at, home_speed, file.device, file.axis, file.serial, backwards=file.backwards)
         if joint.motion == "translation" and setup.minimum < 0:
             raise ZaberAsciiError(
                 f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
@@ -94,24 +87,9 @@ class AsciiSetup:
         return setup
 
     @property
-    def step(self) -> float:
-        """Change of the joint's position per microstep [rad or m]."""
-        return -self.joint.microstep if self.backwards else self.joint.microstep
-
-    @property
     def speed_scale(self) -> float:
         """Speed data of a velocity command per joint velocity [speed data per rad/s or m/s]."""
         return SPEED_FACTOR / self.step
-
-    @property
-    def minimum(self) -> int:
-        """Setting limit.min: the first whole microstep inside the joint's travel."""
-        return math.ceil(min(self._ends) - 1e-6)
-
-    @property
-    def maximum(self) -> int:
-        """Setting limit.max: the last whole microstep inside the joint's travel."""
-        return math.floor(max(self._ends) + 1e-6)
 
     @property
     def top(self) -> int:
@@ -128,20 +106,6 @@ class AsciiSetup:
         """Acceleration setting, at least the joint's value that braking distances assume [acceleration data]."""
         return math.ceil(self.joint.acceleration / self.joint.microstep * ACCELERATION_FACTOR)
 
-    @property
-    def turn(self) -> int:
-        """One turn of a rotation stage [microsteps]."""
-        return round(2.0 * math.pi / self.joint.microstep)
-
-    def position(self, microsteps: float) -> float:
-        """Return the joint position at a count of the axis [rad or m]."""
-        return self.home_at + self.step * microsteps
-
     def on_chain(self) -> Axis:
         """Return the parameters that the chain needs."""
         return Axis(self.device, self.axis, self.top, self.acceleration, self.minimum, self.maximum)
-
-    @property
-    def _ends(self) -> tuple[float, float]:
-        """Ends of the joint's travel [microsteps]."""
-        return (self.joint.lower - self.home_at) / self.step, (self.joint.upper - self.home_at) / self.step

@@ -42,10 +42,30 @@ def test_alarm_of_grbl_is_reported_with_the_makers_meaning():
         "X:1.00 Y:-2.50 Z:30.12 E:0.00 Count X:74471Y:399961 Z:12048",
         "X:1.00 Y:-2.50 Z:30.12 Count X:80 Y:-200",
         f"X:1.00 Y:-2.50 Z:30.12 Count X:80 Y:-200 Z:{'9' * 400}",
+        "X:1.00 Y:-2.5 Z:30.12 E:0.00 Count X:80 Y:-200 Z:12048",
+        "X:1.00 Y:-2.50 Z:30.12 E:0.00 Count X:80 Y:-200 Z:012048",
+        "X:1.00 Y:-2.50 Y:30.12 Z:0.00 Count X:80 Y:-200 Z:12048",
+        "X:1.00 X:-2.50 Z:30.12 Count X:80 X:-200 Z:12048",
     ],
 )
 def test_damaged_position_of_marlin_is_no_position(line):
     assert parse("marlin", line, AXES) == Info(line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "<Jog|MPos:1.00,-2.500,30.125|FS:500,0>",
+        "<Jog|MPos:1.000,-2.50030.125|FS:500,0>",
+        "<Jog|MPos:1.000,-2.500|FS:500,0>",
+        "<Jog|MPos:1.000,-2.500,030.125|FS:500,0>",
+        "<Jog|MPos:1.000,-2.500,30.125>",
+        "<Jig|MPos:1.000,-2.500,30.125|FS:500,0>",
+        "<Jog|MPos:1.000,-2.500,30.125|FS:500,0",
+    ],
+)
+def test_damaged_position_of_grbl_is_no_position(line):
+    assert parse("grbl", line, AXES) == Info(line)
 
 
 def test_reader_joins_the_parts_of_a_line_and_drops_what_is_not_ascii():
