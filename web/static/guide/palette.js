@@ -45,7 +45,7 @@ function actionsOf(one) {
   const name = one.name.replaceAll("_", " "), open = async (caseName) => (await module("run/run")).openExperiment(one.name, caseName);
   const queue = { title: `Queue all cases of ${name}`, against: inStates(), run: async () => (await module("run/queue")).addToQueue({ experiment: one.name }) };
   return [{ title: `Experiment ${name}: ${one.title}`, run: () => open() },
-    ...(one.cases.length < 2 ? [] : [queue, ...one.cases.map((each) => ({ title: `Case ${name}: ${each.words}`, run: () => open(each.name) }))])];
+    ...(one.cases.length < 2 ? [] : [queue, ...one.cases.map((each) => ({ title: `Case ${name}: ${each.words}`, words: each.name.replaceAll("_", " "), run: () => open(each.name) }))])];
 }
 
 /** Return the actions whose titles or further words contain every word of a query, or its beginning; titles come first. */
