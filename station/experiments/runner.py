@@ -71,8 +71,8 @@ def run_case(
     lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
-    keep = rows.append if record is None else record
-    later = np.zeros(len(loop.channels))  # subtracted from each row, so that times count from the motion's start
+    # Times of the rows count from the motion's start. Rows in memory are converted together after the run.
+    later = np.zeros(len(loop.channels))
     tick, kept, motion_start, cause, started = 0, 0, 0.0, "", False
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
@@ -110,14 +110,17 @@ def run_case(
                     if lab.trouble:
                         cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
                         break
-                    keep(row - later)
+                    if record is None:
+                        rows.append(row)
+                    else:
+                        record(row - later)
                     kept += 1
                 tick += 1
                 if tick % 250 == 0:
                     progress(loop.part_done(now))
     except CtrError as error:
         cause = str(error)
-    table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
+    table = np.array(rows) - later if rows else np.empty((0, len(loop.channels)))
     details = {kind: device.details() for kind, device in devices.by_kind.items()}
     rates = _rates(counted, details["stages"], kept * PERIOD_S)
     return Recording(

@@ -192,8 +192,8 @@ class SimulatedBench:
         axis = self._coil_axis() if self._reports_axis else None
         self.aurora.advance(self.time, now, before, self._coil_position, axis, self._move_target(now))
         simulated_aurora.pump(self._wires.aurora, self.aurora, now)
-        for number, box in enumerate(self.boxes):
-            box.advance(now, self._wrenches[number])
+        for box, wrench in zip(self.boxes, self._wrenches, strict=True):
+            box.advance(now, wrench)
         self.time = now
         return self.truth
 
