@@ -72,7 +72,8 @@ def update_zeros(
     values, covariance = last.values.copy(), last.covariance.copy()
     _update(
         robot.packed, loaded.joints, loaded.tip, loaded.compliance, load, bias, force,
-        2.0 * min(now, WALK_S) * errors.drift, MODEL_S * errors.lever**2, MODEL_S * (errors.gain * errors.moment_range) ** 2, LOAD_S * LOAD_N**2,
+        2.0 * min(now, WALK_S) * errors.drift, MODEL_S * errors.lever**2,
+        MODEL_S * (errors.gain * errors.moment_range) ** 2, LOAD_S * LOAD_N**2,
         max(misfit, 1.0) ** 2, now - last.since,
         values, covariance,
     )  # fmt: skip

@@ -78,7 +78,6 @@ class SensorErrors:
             raise DescriptionError(f"sensor noise {deviations.tolist()} N, N m must be greater than 0, inf for none")
         return np.asarray(np.minimum(deviations, MISSING) ** 2, dtype=np.float64)
 
-
     @cached_property
     def drift(self) -> Array:
         """Squares (q or 1, 2) of the drift rates of a sensor's forces and moments; 0 for what it does not measure."""
