@@ -71,6 +71,12 @@ def _settings(
     return np.array([(*laws, *feedback, weight, min_floor)], _SETTINGS)
 
 
+@cache
+def _nothing_else(n: int) -> tuple[VelocityTask, NullSpace]:
+    """Return an empty task and a null space without an objective, for `n` joints."""
+    return VelocityTask(no_rows(n), NO_BOUNDS), NullSpace(zero_velocity(n), no_rows(n))
+
+
 def command(
     strategy: Strategy, feedback: FeedbackOptions, limits: Limits,
     joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
@@ -107,8 +113,8 @@ def command(
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
         found = inverse_at(limits, joints, *task, rows, room)
         return CommandResult(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
-    null_space = NullSpace(zero_velocity(n), no_rows(n)) if null_space is None else null_space
-    others = VelocityTask(no_rows(n), NO_BOUNDS)
+    others, no_objective = _nothing_else(n)
+    null_space = no_objective if null_space is None else null_space
     if tasks:
         inputs = TaskInputs(strategy.laws, feedback, now.loaded, now.unloaded)
         parts = [task.rows(inputs) if type(task) is DirectionTask else custom_rows(task, inputs) for task in tasks]

@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.control.tip_force import MISSING, SensorErrors
+from core.control.tip_force import SensorErrors
 from core.model.solution import Solution
-from core.robot.robot import Array, Layout, Robot, tube_poses
+from core.robot.robot import Array, Robot, tube_poses, unpack
 
 #: Time during which errors of model and lever stay similar, three periods of a usual motion [s].
 MODEL_S = 60.0
@@ -70,11 +70,10 @@ def update_zeros(
 
     """
     values, covariance = last.values.copy(), last.covariance.copy()
-    rates = np.array([errors.force_drift, errors.moment_drift]) ** 2
-    walk = np.where(errors.noise < MISSING**2, 2.0 * min(now, WALK_S) * rates, 0.0)
     _update(
-        robot.layout, loaded.joints, loaded.tip, loaded.compliance, load, bias, force,
-        walk, MODEL_S * errors.lever**2, MODEL_S * (errors.gain * errors.moment_range) ** 2, LOAD_S * LOAD_N**2,
+        robot.packed, loaded.joints, loaded.tip, loaded.compliance, load, bias, force,
+        2.0 * min(now, WALK_S) * errors.drift, MODEL_S * errors.lever**2,
+        MODEL_S * (errors.gain * errors.moment_range) ** 2, LOAD_S * LOAD_N**2,
         max(misfit, 1.0) ** 2, now - last.since,
         values, covariance,
     )  # fmt: skip
@@ -83,11 +82,12 @@ def update_zeros(
 
 @compiled
 def _update(
-    layout: Layout, joints: Array, tip: Array, compliance: Array, load: Array, bias: Array, force: Array,
+    packed: Array, joints: Array, tip: Array, compliance: Array, load: Array, bias: Array, force: Array,
     walk: Array, lever: float, moment: float, held: float, doubt: float, elapsed: float,
     values: Array, covariance: Array,
 ) -> None:  # fmt: skip
     """Compute `update_zeros` in place; `walk`, `lever`, `moment` and `held` are densities."""
+    layout = unpack(packed)
     alpha, beta, _ = tube_poses(layout, joints)
     q, base = alpha.shape[0], layout.base
     x, y, z = tip[0] - base[9], tip[1] - base[10], tip[2] - base[11]

@@ -233,7 +233,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     wrenches, zeros = sample.wrenches, memory.zeros
     load, now = perceive(
         controller.statics, controller.estimator, last,
-        sample.joints, wrenches if zeros is None else wrenches - zeros.values,
+        sample.joints, wrenches, np.zeros_like(wrenches) if zeros is None else zeros.values,
         sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
     if zeros is not None and sample.tip is not None:

@@ -78,6 +78,11 @@ class SensorErrors:
             raise DescriptionError(f"sensor noise {deviations.tolist()} N, N m must be greater than 0, inf for none")
         return np.asarray(np.minimum(deviations, MISSING) ** 2, dtype=np.float64)
 
+    @cached_property
+    def drift(self) -> Array:
+        """Squares (q or 1, 2) of the drift rates of a sensor's forces and moments; 0 for what it does not measure."""
+        return np.where(self.noise < MISSING**2, np.array([self.force_drift, self.moment_drift]) ** 2, 0.0)
+
 
 #: Gain error of a calibrated sensor's axis as a fraction of its range: the part of 1 % that remains after `calibrate
 #: tubes`.

@@ -100,6 +100,12 @@ class Directions:
         return first * math.cos(angle) + _cross(axis, first) * math.sin(angle), axis * rate
 
 
+def _setpoint(position: list[float], velocity: list[float]) -> Setpoint:
+    """Return a setpoint from numbers: each operation on small arrays takes a microsecond."""
+    both = np.array(position + velocity)
+    return Setpoint(both[:3], both[3:])
+
+
 @dataclass(frozen=True)
 class Hold:
     """Trajectory that stays at the start tip (regulation)."""
@@ -150,15 +156,14 @@ class Sinusoid:
         return 1.0 / self.frequency
 
     @cached_property
-    def _axis(self) -> Array:
-        return _unit("sinusoid", self.direction)
+    def _axis(self) -> list[float]:
+        return _unit("sinusoid", self.direction).tolist()
 
     def setpoint(self, time: float) -> Setpoint:
         """Return amplitude * sin(2 pi f t) along the direction."""
         axis, rate = self._axis, 2.0 * math.pi * self.frequency
-        return Setpoint(
-            axis * (self.amplitude * math.sin(rate * time)), axis * (self.amplitude * rate * math.cos(rate * time))
-        )
+        offset, speed = self.amplitude * math.sin(rate * time), self.amplitude * rate * math.cos(rate * time)
+        return _setpoint([x * offset for x in axis], [x * speed for x in axis])
 
 
 @dataclass(frozen=True)
@@ -175,17 +180,18 @@ class Circle:
         _unit("circle", self.normal)
 
     @cached_property
-    def _plane(self) -> tuple[Array, Array]:
-        return _plane(_unit("circle", self.normal))
+    def _plane(self) -> list[list[float]]:
+        return np.transpose(_plane(_unit("circle", self.normal))).tolist()
 
     def setpoint(self, time: float) -> Setpoint:
         """Return a point of the circle; the circle starts at offset zero, and its centre is one `radius` away."""
-        first, second = self._plane
         rate = 2.0 * math.pi / self.period
         cos, sin = math.cos(rate * time), math.sin(rate * time)
-        return Setpoint(
-            first * (self.radius * (cos - 1.0)) + second * (self.radius * sin),
-            second * (self.radius * rate * cos) - first * (self.radius * rate * sin),
+        a, b = self.radius * (cos - 1.0), self.radius * sin
+        c, d = self.radius * rate * cos, self.radius * rate * sin
+        return _setpoint(
+            [first * a + second * b for first, second in self._plane],
+            [second * c - first * d for first, second in self._plane],
         )
 
 

@@ -134,7 +134,7 @@ class Solution:
 
         The margin is 1 for straight tubes without load. It falls to 0 where the tubes snap or the load buckles them.
         """
-        return float(self.numbers[STABILITY])
+        return self.numbers.item(STABILITY)
 
     @property
     def residual(self) -> float:

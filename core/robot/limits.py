@@ -253,7 +253,9 @@ class TubeOrder:
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
         """Return rows that slow down the approach of two tube ends and stop it at `MIN_TUBE_DISTANCE_M`."""
-        return self.matrix, _distances(self.matrix, self.bound, at.joints)
+        room = np.empty(self.bound.size)
+        _distances(self.matrix, self.bound, at.joints, room)
+        return self.matrix, room
 
     def check(self, at: LimitContext) -> None:
         """Raise PoseError for the first pair of tubes that violates the order."""
@@ -341,15 +343,13 @@ def _rows_of(limit: Limit, at: LimitContext) -> tuple[Array, Array]:
 
 
 @compiled
-def _distances(matrix: Array, bound: Array, joints: Array) -> Array:
-    """Return the room of each tube order row: remaining distance (at least 0) over `BRAKING_TIME_CONSTANT_S`."""
-    room = np.empty(bound.shape[0])
+def _distances(matrix: Array, bound: Array, joints: Array, room: Array) -> None:
+    """Compute the room of each tube order row: remaining distance (at least 0) over `BRAKING_TIME_CONSTANT_S`."""
     for i in range(bound.shape[0]):
         slack = bound[i] - MIN_TUBE_DISTANCE_M
         for j in range(joints.shape[0]):
             slack -= matrix[i, j] * joints[j]
         room[i] = max(slack, 0.0) / BRAKING_TIME_CONSTANT_S
-    return room
 
 
 @compiled

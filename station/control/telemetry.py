@@ -12,6 +12,7 @@ from core.compiled import compiled, inlined
 from core.control.estimation import FRAME_USED, NEWEST_INDEX, VECTOR_UNITS, estimate_fields
 from core.control.setpoint_request import SetpointRequest
 from core.control.step import Tick
+from core.control.tip_direction import DirectionEstimate
 from core.model.solution import PASSES, STABILITY, fields
 from core.robot.robot import Array, Robot
 from station.control.states import State
@@ -79,7 +80,7 @@ class Channels:
         `TargetTrack.numbers`; without it the channels of the target are 0.
         """
         memory, now = tick.memory, tick.memory.estimate
-        true_tip, true_force, *_ = truth or _NO_TRUTH
+        true_tip, true_force, _, true_direction = truth or _NO_TRUTH
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
         setpoint = _NO_REQUEST if request is None or request.setpoint is None else request.setpoint
@@ -93,7 +94,8 @@ class Channels:
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
             kind, setpoint.time, position, setpoint.velocity,
-            _directions(tick, truth), _NO_TARGET if target is None else target,
+            *(_NO_DIRECTIONS if memory.direction is None else _directions(tick, memory.direction)),
+            _ZERO if true_direction is None else true_direction, _NO_TARGET if target is None else target,
             *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]),
         )  # fmt: skip
         if sensors == ABSENT and memory.deflection is not None:
@@ -124,26 +126,18 @@ class Channels:
         return row
 
 
-def _directions(tick: Tick, truth: GroundTruth | None) -> Array:
-    """Return the measured, observed, desired and true direction of the tip (12,); 0: unknown."""
-    known, true = tick.memory.direction, None if truth is None else truth.direction
-    if known is None and true is None:
-        return _NO_DIRECTIONS
-    directions = np.zeros((4, 3))
-    if known is not None:
-        desired = tick.setpoint.direction
-        directions[0] = known.measured if known.measured_once else 0.0
-        directions[1] = known.observed
-        directions[2] = known.origin if desired is None else desired
-    if true is not None:
-        directions[3] = true
-    return directions.ravel()
+def _directions(tick: Tick, known: DirectionEstimate) -> tuple[Array, Array, Array]:
+    """Return the measured, observed and desired direction of the tip, each (3,); 0: unknown."""
+    desired = tick.setpoint.direction
+    return (
+        known.measured if known.measured_once else _ZERO, known.observed, known.origin if desired is None else desired
+    )  # fmt: skip
 
 
 _ZERO = np.zeros(3)
 _NO_REQUEST = SetpointRequest(None, np.zeros(3), 0.0, 0.0)
-_NO_TRUTH = GroundTruth(np.zeros(3), np.zeros(3))
-_NO_DIRECTIONS, _NO_TARGET = np.zeros(12), np.zeros(14)
+_NO_TRUTH = GroundTruth(_ZERO, _ZERO)
+_NO_DIRECTIONS, _NO_TARGET = (_ZERO, _ZERO, _ZERO), np.zeros(14)
 _NO_DEFLECTION = np.zeros(3), np.zeros(6)
 
 
@@ -162,7 +156,8 @@ def _fill(
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    request_kind: int, request_time: float, request: Array, request_velocity: Array, directions: Array, target: Array,
+    request_kind: int, request_time: float, request: Array, request_velocity: Array,
+    measured: Array, observed: Array, desired: Array, true_direction: Array, target: Array,
     deflection_force: Array, deflection_covariance: Array,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
@@ -193,7 +188,8 @@ def _fill(
     row[at], row[at + 1] = request_kind, request_time
     at = _put(row, at + 2, request)
     at = _put(row, at, request_velocity)
-    at = _put(row, at, directions)
+    for direction in (measured, observed, desired, true_direction):
+        at = _put(row, at, direction)
     at = _put(row, at, target)
     at = _put(row, at, deflection_force)
     _put(row, at, deflection_covariance)

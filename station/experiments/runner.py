@@ -71,8 +71,8 @@ def run_case(
     lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
-    keep = rows.append if record is None else record
-    later = np.zeros(len(loop.channels))  # subtracted from each row, so that times count from the motion's start
+    # Times of the rows count from the motion's start. Rows in memory are converted together after the run.
+    later = np.zeros(len(loop.channels))
     tick, kept, motion_start, cause, started = 0, 0, 0.0, "", False
     counted: Mapping[str, Any] = {}
     loop.connect(0.0)
@@ -85,6 +85,7 @@ def run_case(
                 now = tick * PERIOD_S
                 clock.wait_until(now)
                 row = loop.tick(now, lab.advance(now))
+                phase = loop.phase
                 if not started:
                     if loop.state is State.READY:
                         loop.start(MotionTask(case.controller, case.orders, case.file.duration, case.start))
@@ -98,26 +99,29 @@ def run_case(
                 elif loop.progress is None:
                     cause = with_details(loop.cause, loop.cause_details)
                     break
-                elif loop.phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
+                elif phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
                     motion_start = loop.progress.motion_start
                     for group in ("time", "tip_time"):
                         loop.channels.of(later, group)[:] = motion_start
                     lab.apply_load(case.file.load, motion_start)
                     lab.inject(case.file.faults, motion_start)
-                elif loop.phase is Phase.MOVING and row is not None:
+                elif phase is Phase.MOVING and row is not None:
                     if not kept:
                         counted = devices.stages.details()
                     if lab.trouble:
                         cause = f"the simulated robot cannot follow its stages: {lab.trouble}"
                         break
-                    keep(row - later)
+                    if record is None:
+                        rows.append(row)
+                    else:
+                        record(row - later)
                     kept += 1
                 tick += 1
                 if tick % 250 == 0:
                     progress(loop.part_done(now))
     except CtrError as error:
         cause = str(error)
-    table = np.array(rows) if rows else np.empty((0, len(loop.channels)))
+    table = np.array(rows) - later if rows else np.empty((0, len(loop.channels)))
     details = {kind: device.details() for kind, device in devices.by_kind.items()}
     rates = _rates(counted, details["stages"], kept * PERIOD_S)
     return Recording(

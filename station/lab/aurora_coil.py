@@ -1,5 +1,6 @@
 """The coil of a simulated Aurora tracker. It measures frames at a fixed rate, independent of the host's requests."""
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Self
@@ -99,7 +100,8 @@ class Coil:
             part = 1.0 if end == start else min(max((self.due - start) / (end - start), 0.0), 1.0)
             if not self._noise:
                 self._noise = (self._config.noise * self._rng.standard_normal((NOISE_BLOCK, 3)))[::-1].tolist()
-            tip = tip_start + part * (tip_end - tip_start) + self._noise.pop()
+            ends = zip(tip_start.tolist(), tip_end.tolist(), self._noise.pop(), strict=True)
+            tip = np.array([first + part * (last - first) + noise for first, last, noise in ends])
             local = self._mount.rotation.T @ (tip - self._mount.position)
             if self.distortion is not None:
                 local += self.distortion.at(local)
@@ -140,8 +142,8 @@ def _without_roll(axis: Array | None) -> tuple[float, ...]:
     """Return the quaternion of the shortest rotation of z onto `axis`; a five-degree-of-freedom coil has no roll."""
     if axis is None:
         return (1.0, 0.0, 0.0, 0.0)
-    x, y, z = axis / np.linalg.norm(axis)
+    x, y, z = (axis / math.sqrt(axis @ axis)).tolist()
     if z < -1.0 + 1e-12:
         return (0.0, 1.0, 0.0, 0.0)
-    w = float(np.sqrt(0.5 * (1.0 + z)))
-    return (w, float(-0.5 * y / w), float(0.5 * x / w), 0.0)
+    w = math.sqrt(0.5 * (1.0 + z))
+    return (w, -0.5 * y / w, 0.5 * x / w, 0.0)

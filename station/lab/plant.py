@@ -55,6 +55,7 @@ class Plant:
         self._exact = ExactRod(self.robot, step=config.step, tolerance=1e-7)
         q, n = len(robot.tubes), len(robot.joints)
         self._packed = np.zeros(_size(q, n))
+        self._tip = self._packed.size - 12 - 6 * q  # index of the tip in the packed memory
         self._memory = memory = _unpack(self._packed, q, n)
         memory.play[:] = [config.play.get(joint.name, 0.0) for joint in robot.joints]
         memory.limit[:] = config.friction_force, config.friction_moment
@@ -80,13 +81,14 @@ class Plant:
         Raises:
             NotFinite, NoSolution: the plant (simulated real robot) has no equilibrium shape there; it keeps the last.
         """
-        exact, memory = self._exact, self._memory
-        if not _advance(self.robot.packed, self._packed, positions, force, contact, exact.step, exact.tolerance):
+        exact, packed = self._exact, self._packed
+        if not _advance(self.robot.packed, packed, positions, force, contact, exact.step, exact.tolerance):
             wrench = pure_force(force)
-            self._store(exact.solve_tubes(*self.robot.tube_poses(memory.tubes_at), wrench, None, contact))
-            _base_wrenches(self.robot.packed, self._packed, force, contact)
-        truth = GroundTruth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
-        return PlantState(truth, memory.wrenches.copy())
+            self._store(exact.solve_tubes(*self.robot.tube_poses(self._memory.tubes_at), wrench, None, contact))
+            _base_wrenches(self.robot.packed, packed, force, contact)
+        state = packed[self._tip :].copy()  # tip, wrenches and rotation
+        truth = GroundTruth(state[:3], force, None, state[-7::3].copy())
+        return PlantState(truth, state[3:-9].reshape(-1, 6))
 
     def _store(self, rod: Rod) -> None:
         """Store a solution as the start of the next tick."""

@@ -99,6 +99,10 @@ class SimulatedAurora:
 
     # -- measurement of the coils -----------------------------------------------------------------
 
+    def measures_by(self, now: float) -> bool:
+        """Return whether a coil measures a frame until `now` [s]; if not, `advance` has nothing to do."""
+        return self._coil.due <= now + 1e-9 or (self._target is not None and self._target.due <= now + 1e-9)
+
     def advance(
         self, start: float, end: float, tip_start: Array, tip_end: Array, direction: Array | None = None,
         target: tuple[Array, Array] | None = None,

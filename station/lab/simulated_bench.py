@@ -189,11 +189,13 @@ class SimulatedBench:
         except (PoseError, NoSolution, ContractError) as error:
             # A real bench would continue: the robot keeps its shape until the stages are back at a possible pose.
             self.trouble = str(error)
-        axis = self._coil_axis() if self._reports_axis else None
-        self.aurora.advance(self.time, now, before, self._coil_position, axis, self._move_target(now))
+        target = None if self._target is None else self._move_target(now)
+        if self.aurora.measures_by(now):
+            axis = self._coil_axis() if self._reports_axis else None
+            self.aurora.advance(self.time, now, before, self._coil_position, axis, target)
         simulated_aurora.pump(self._wires.aurora, self.aurora, now)
-        for number, box in enumerate(self.boxes):
-            box.advance(now, self._wrenches[number])
+        for box, wrench in zip(self.boxes, self._wrenches, strict=True):
+            box.advance(now, wrench)
         self.time = now
         return self.truth
 

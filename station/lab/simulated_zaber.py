@@ -180,8 +180,9 @@ class SimulatedChain:
                 unit.time = until
             else:
                 outgoing += [(time, slot, message) for time, message in unit.advance(until)]
-        for time, slot, message in sorted(outgoing):
-            self._send(slot, message, time)
+        if outgoing:
+            for time, slot, message in sorted(outgoing):
+                self._send(slot, message, time)
         self.time = until
 
     def _deliver(self, message: ZaberMessage, now: float) -> None:

@@ -135,7 +135,7 @@ class Unit:
         """True position of the stage from the home sensor's zero [microsteps]."""
         if self._stuck is not None:
             return self._stuck
-        position = self.position + self._shift
+        position = (self.position if self._plan else self._start_position) + self._shift
         # The hard stops bound the stage, while the motor may continue to count.
         return position if self._lower <= position <= self._upper else min(max(position, self._lower), self._upper)
 

@@ -185,9 +185,7 @@ class _Sensor:
 
     def poll(self, now: float) -> bool:
         """Process the datagrams that have arrived and return whether there were any; never raises."""
-        stream, good, settings, flags = self.stream, self.good, self._settings, 0
-        counters = stream.counters
-        lost, resets, received, newest = counters.lost, counters.resets, False, 0
+        stream, good, flags, newest, received = self.stream, self.good, 0, 0, False
         try:
             for datagram in self.link.receive():
                 numbers, clock = stream.state
@@ -197,9 +195,12 @@ class _Sensor:
                 if taken:
                     self.status, self._last_usable, received = 0, now, True
                     continue
+                counters = stream.counters
+                lost, resets = counters.lost, counters.resets
                 for sample in stream.feed(datagram, now):
                     newest |= self._take(sample, now)
                     received = True
+                flags |= (_GAP if counters.lost > lost else 0) | (_RESET if counters.resets > resets else 0)
             if received:
                 self._last_received, self._newest = now, newest
             elif self._streaming and now - self._last_received >= RETRY_AFTER_S:
@@ -207,14 +208,12 @@ class _Sensor:
                 stream.restart()
                 self._request_stream()
         except LinkError:
-            flags = _GONE
-        if counters.resets > resets:
+            flags |= _GONE
+        if flags & _RESET:
             self._latched_flags |= _RESET
             good.clear()
         flags |= self._newest | self._latched_flags
-        if counters.lost > lost:
-            flags |= _GAP
-        if good.time == -math.inf or now - self._last_usable > settings.stale_after:
+        if good.time == -math.inf or now - self._last_usable > self._settings.stale_after:
             flags |= _STALE
         self.flags = flags
         return received

@@ -341,7 +341,9 @@ class SampleHistory:
 
     def at(self, time: float) -> Array:
         """Return wrenches (q, 6) at `time` [s], linearly interpolated; every sensor needs at least one sample."""
-        return _at(self.rows, self._ends, time, self._scale)
+        wrenches = np.empty(self._scale.shape)
+        _at(self.rows, self._ends, time, self._scale, wrenches)
+        return wrenches
 
 
 class SampleRing:
@@ -372,8 +374,7 @@ def push(rows: Array, ends: Indices, row: Array, time: float) -> float:
 
 
 @compiled
-def _at(rows: Array, ends: Indices, time: float, scale: Array) -> Array:
-    wrenches = np.empty(scale.shape)
+def _at(rows: Array, ends: Indices, time: float, scale: Array, wrenches: Array) -> None:
     for i in range(scale.shape[0]):
         after = before = ends[i, 0]
         for _ in range(ends[i, 1] - 1):
@@ -385,4 +386,3 @@ def _at(rows: Array, ends: Indices, time: float, scale: Array) -> Array:
         for k in range(6):
             a, b = rows[i, before, 1 + k], rows[i, after, 1 + k]
             wrenches[i, k] = scale[i, k] * (a + part * (b - a))
-    return wrenches

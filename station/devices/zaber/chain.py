@@ -134,11 +134,7 @@ class ZaberChain:
     def command(self, axis: int, speed: int) -> None:
         """Set the speed of an axis [speed units]; `due` sends the latest speed when the line is free."""
         top = self.axes[axis].top
-        speed = speed if -top <= speed <= top else int(math.copysign(top, speed))
-        desired = self._safe_speeds.get(speed)
-        if desired is None:
-            desired = self._safe_speeds[speed] = safe_speed(speed, self._listeners)
-        self._desired[axis] = desired
+        self._desired[axis] = speed if -top <= speed <= top else int(math.copysign(top, speed))
 
     def stop(self) -> None:
         """Send stops to all axes before any other message, and poll each axis until it confirms its stop."""
@@ -254,7 +250,7 @@ class ZaberChain:
         count = len(self.axes)
         for k in range(count):
             i = (self._turn + k) % count
-            desired = self._desired[i]
+            desired = self._safe_speed(self._desired[i])
             if desired != self.sent[i] or now - self._sent_at[i] > REFRESH_S:
                 self._turn = i + 1
                 self._sent_at[i] = now
@@ -264,6 +260,13 @@ class ZaberChain:
                     return ZaberMessage(self._address(i), ZaberCommand.STOP, NO_DATA)
                 return ZaberMessage(self._address(i), ZaberCommand.MOVE_SPEED, desired)
         return None
+
+    def _safe_speed(self, speed: int) -> int:
+        """Return `safe_speed` of a desired speed, from the cache if possible."""
+        safe = self._safe_speeds.get(speed)
+        if safe is None:
+            safe = self._safe_speeds[speed] = safe_speed(speed, self._listeners)
+        return safe
 
     def _address(self, axis: int) -> int:
         """Return the device number that addresses the unit of an axis: its alias during polling."""

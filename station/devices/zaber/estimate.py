@@ -68,6 +68,9 @@ class AxisEstimate:
     def advance(self, now: float) -> None:
         """Advance the estimate to `now` [s]."""
         ahead = self._ahead
+        if not ahead and self._velocity == self._target == 0.0:
+            self._time = max(self._time, now)  # at rest
+            return
         while ahead and ahead[0][0] <= now:
             when, velocity = ahead.popleft()
             self._run(when)

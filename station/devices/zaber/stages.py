@@ -64,6 +64,7 @@ class ZaberStages:
         self._wait_until = -math.inf
         self._send_deferred = False
         self._pending_velocities: list[float] = []  # velocities that wait for a free line [rad/s or m/s]
+        self._all_known = False  # whether the last poll knew every position
         self._use(ports)
 
     # The control loop's side
@@ -80,6 +81,7 @@ class ZaberStages:
             self._send_deferred = False  # `command` follows in the same tick with newer velocities, and sends them
         else:
             self._send(now)
+        self._all_known = all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick
         positions = [zero + step * estimate.position for zero, step, estimate in self._counted]
         sent = [chain.sent[axis] for chain, axis in self._units.where]
         if sent != self._sent[0]:
@@ -112,9 +114,7 @@ class ZaberStages:
     @property
     def ready(self) -> bool:
         """Whether the stages are connected and homed, and every position is known."""
-        if self.condition is not Condition.CONNECTED or not all(self._units.homed):
-            return False
-        return all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick, twice
+        return self._all_known and self.condition is Condition.CONNECTED and all(self._units.homed)
 
     @property
     def ports(self) -> tuple[PortSetup, ...]:
