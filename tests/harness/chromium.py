@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,8 @@ GENTLY = Path(__file__).with_name("gentle_chromium")
 #: Timeout of everything for which a test waits in a page [ms].
 PATIENCE = 1e3 * NET
 expect.set_options(timeout=PATIENCE)
+#: Time after which a press without any effect counts as lost [s].
+LOST_AFTER_S = 20.0
 SIZE: ViewportSize = {"width": 1280, "height": 720}
 #: Device scale factor of pages. Without a graphics card the scene takes a whole processor; with coarse pixels and four
 #: pictures a second it takes a fifth. Pictures that are kept for the documents are drawn finely.
@@ -80,16 +83,16 @@ def wait_until_current(page: Page) -> None:
 def press_until(page: Page, press: Callable[[], object], happened: Callable[[], bool]) -> None:
     """Press until the effect has happened.
 
-    On a busy computer the page may refuse a press because its data are too old; the user then presses again.
+    On a busy computer the page may refuse a press because its data are too old, or it may disable the button during
+    the press, which is then lost; the user presses again.
     """
     refused = page.locator(".note", has_text="Not started")
-    while True:
+    while not happened():
         for note in refused.all():
             note.get_by_role("button", name="close").click()
         press()
-        until(lambda: happened() or refused.count() > 0)
-        if happened():
-            return
+        lost = time.monotonic() + LOST_AFTER_S
+        until(lambda: happened() or refused.count() > 0 or time.monotonic() > lost)
 
 
 def press_until_sent(page: Page, press: Callable[[], object], path: str = "/api/start") -> None:

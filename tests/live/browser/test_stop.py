@@ -41,6 +41,7 @@ def experiment(station: Served, page: Page) -> None:
         return abs(station.status()["joints"]["outer_rotation"]) > 0.03
 
     until(moved)
+    station.rest_of_joints()  # the last jog has ended
     station.wait_for(lambda s: s["state"] == "READY")
     station.rest.delete("/api/operator")
     open_tab(page, "start")

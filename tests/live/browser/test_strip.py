@@ -43,8 +43,8 @@ def test_jog_buttons_keep_their_place_below_the_result_of_the_last_run(page: Pag
     open_tab(page, "jog")
     button = page.get_by_role("button", name="x plus: hold to move")
     wait_until_current(page)
+    button.hover()  # this may scroll the tab
     place = button.bounding_box()
-    button.hover()
     page.mouse.down()
     try:
         page.locator("#state", has_text="RUNNING").wait_for()

@@ -206,6 +206,7 @@ def test_target_handle_is_dragged_and_checked_and_the_tip_reaches_it(
     page: Page, station: Served, picture: Picture
 ) -> None:
     box = page.locator("#switches input[name=target]")
+    page.get_by_label("fold the close-up").click()  # the close-up lies over the place to which the handle is dragged
     with page.expect_response(_chosen):
         box.check()
     try:
@@ -229,6 +230,7 @@ def test_target_handle_is_dragged_and_checked_and_the_tip_reaches_it(
         assert 1e3 * np.linalg.norm(np.array(station.status()["tip_true"]) - goal) < 1.0
     finally:
         box.uncheck()
+        page.get_by_label("show the close-up").click()
 
 
 def test_controller_compensates_a_pull_at_the_tip(page: Page, station: Served, picture: Picture) -> None:
