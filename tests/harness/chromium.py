@@ -92,7 +92,7 @@ def press_until(page: Page, press: Callable[[], object], happened: Callable[[], 
             note.get_by_role("button", name="close").click()
         press()
         lost = time.monotonic() + LOST_AFTER_S
-        until(lambda: happened() or refused.count() > 0 or time.monotonic() > lost)
+        until(lambda lost=lost: happened() or refused.count() > 0 or time.monotonic() > lost)
 
 
 def press_until_sent(page: Page, press: Callable[[], object], path: str = "/api/start") -> None:
