@@ -89,8 +89,8 @@ def _address(text: str) -> ListenAddress:
 def exit_on_signal() -> Iterator[Callable[[], bool]]:
     """Raise KeyboardInterrupt at the first signal; ignore further signals during the cleanup that follows.
 
-    The result tells whether a signal has arrived. A loop that must end asks it, too, because Python drops an exception
-    that a signal raises while a finalizer or a callback of a library runs.
+    The context's value is a function that returns whether a signal has arrived. A loop that waits for the end calls it
+    as well, because Python drops the exception if the signal arrives during a finalizer.
     """
     received: list[int] = []
 

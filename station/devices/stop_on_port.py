@@ -61,8 +61,7 @@ def stop_on_port(
         if link is not None:
             link.close()
     if not commanded:
-        kind = stages.split()[-1]
-        raise NotStopped(f"the {kind} on {port} cannot be commanded to stop ({problem}): press the emergency stop")
+        raise NotStopped(f"the stages on {port} cannot be commanded to stop ({problem}): press the emergency stop")
     raise NotStopped(
         f"of {stages} on {port} {unconfirmed()} was commanded to stop and has not confirmed: press the emergency stop"
     )

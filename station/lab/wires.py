@@ -56,8 +56,7 @@ class HostPort:
     def read(self) -> bytes:
         """Return the received bytes."""
         self._check()
-        buffer = self.device.to_host
-        return _drain(buffer) if buffer else b""
+        return _drain(self.device.to_host)
 
     def write(self, data: bytes) -> None:
         """Send `data`."""
@@ -103,7 +102,7 @@ class SerialDeviceEnd:
 
     def read(self) -> bytes:
         """Return the bytes that the host has written."""
-        return _drain(self.to_device) if self.to_device else b""
+        return _drain(self.to_device)
 
     def write(self, data: bytes) -> None:
         """Send `data` to the host."""
@@ -129,6 +128,8 @@ def _fill(buffer: bytearray, data: bytes) -> None:
 
 
 def _drain(buffer: bytearray) -> bytes:
+    if not buffer:
+        return b""
     data = bytes(buffer)
     buffer.clear()
     return data

@@ -79,8 +79,8 @@ onStatus((now, old) => {
   if (stale !== old) { stale = old; show(); }
   const run = now?.run;
   if (!run) return;
-  // A jog keeps the last result, because the panel must not move under the pointer that holds a button.
-  if (now.state === "RUNNING") { if (now.phase !== "jogging") { reported = null; $("ended").hidden = true; } }
+  if (now.phase === "jogging") return; // the last result stays: the panel must not move under a pointer that holds a button
+  if (now.state === "RUNNING") { reported = null; $("ended").hidden = true; }
   else if (run.recorded && run.id !== reported && !run.recording && !old) reportEnd(run);
 });
 setInterval(show, REFRESH_INTERVAL_MS);

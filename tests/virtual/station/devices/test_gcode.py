@@ -105,7 +105,7 @@ def test_board_connects_although_replies_are_lost(bench):
     assert bench.stages.ready, bench.cause
 
 
-def test_one_wrong_position_with_a_valid_format_is_not_accepted(bench):
+def test_driver_rejects_one_wrong_position_in_a_valid_format(bench):
     bench.stages.stop(bench.now)
     bench.run(0.5)
     before = bench.reading.positions
