@@ -119,12 +119,12 @@ def summarise(recording: Recording) -> dict[str, Any]:
     measured = channels.of(frames, "tip_measured")
     sweeps = recording.case.file.trajectory.kind == "joint_sweep"
     if not sweeps and tracked:
-        summary |= errors("", frame_errors(of, is_frame, 0.0))
+        summary |= errors("", frame_errors(of, is_frame, 0.0), frame_times)
     known = bool(channels.of(counted, "truth_known").all())
     if known:
         if not sweeps:
             error = desired(of, "target_true") - of("tip_true")
-            summary |= errors("true_", error[is_counted])
+            summary |= errors("true_", error[is_counted], times[is_counted])
             summary |= _errors_by_change(recording, error)
             if recording.case.orders.follow is not None:
                 summary |= _settled_errors(recording, error)
@@ -222,8 +222,9 @@ def _settled_errors(recording: Recording, error: Array) -> dict[str, Any]:
     `error` (ticks, 3) is the desired minus the true tip position [m].
     """
     start = recording.case.file.settling
-    settled = error[recording.channels.of(recording.rows, "time")[:, 0] >= start - 1e-9]
-    return {"settled_from_s": start, **errors("settled_true_", settled)} if len(settled) else {}
+    time = recording.channels.of(recording.rows, "time")[:, 0]
+    settled = time >= start - 1e-9
+    return {"settled_from_s": start, **errors("settled_true_", error[settled], time[settled])} if settled.any() else {}
 
 
 def _errors_by_change(recording: Recording, error: Array) -> dict[str, Any]:
@@ -231,9 +232,9 @@ def _errors_by_change(recording: Recording, error: Array) -> dict[str, Any]:
     file, time = recording.case.file, recording.channels.of(recording.rows, "time")[:, 0]
     found: dict[str, Any] = {}
     for start, end in load_windows(file.load, file.duration):
-        within = error[(time >= start - 1e-9) & (time < end - 1e-9)]
-        if len(within):
-            found[window_name(start)] = errors("true_", within)
+        within = (time >= start - 1e-9) & (time < end - 1e-9)
+        if within.any():
+            found[window_name(start)] = errors("true_", error[within], time[within])
     return {"by_change": found} if found else {}
 
 

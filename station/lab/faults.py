@@ -44,11 +44,12 @@ FaultKind = Literal[
 
 
 class FaultProperties(NamedTuple):
-    """Properties of a kind of fault: possible targets, bound of the fault's size, and whether the fault has a duration.
+    """Properties of a kind of fault: effect, possible targets, bound of the fault's size, and duration.
 
     A kind without a duration happens at one time.
     """
 
+    effect: str  #: what the fault does, as a sentence
     parts: tuple[Part, ...]
     maximum: float | None = None  #: largest `value` of the fault, which is above 0; None: the kind has no value
     unit: str = ""
@@ -59,35 +60,28 @@ PROBABILITY, MAX_DELAY_S, MAX_JUMP_M = 1.0, 60.0, 0.5
 SERIAL_TARGETS: tuple[Part, ...] = ("stages", "tracker", "sensor")
 FAULT_TARGETS: tuple[Part, ...] = ("stages", "joint", "tracker", "sensor")
 FAULT_KINDS: dict[FaultKind, FaultProperties] = {
-    # `value` is the share of bytes, or of a force sensor's datagrams, that are lost in both directions
-    "drop_bytes": FaultProperties(SERIAL_TARGETS, PROBABILITY, "probability"),
-    "flip_bits": FaultProperties(SERIAL_TARGETS, PROBABILITY, "probability"),
-    # `value` is the additional delay of every reply
-    "delay": FaultProperties(SERIAL_TARGETS, MAX_DELAY_S, "s"),
-    # the device does not reply
-    "mute": FaultProperties(FAULT_TARGETS),
-    # stages, tracker: the computer's port disappears; joint: the cable to its unit is cut, so the units behind are also
-    # disconnected; sensor: the network of the box is disconnected
-    "disconnect": FaultProperties(FAULT_TARGETS),
-    # the device is switched off and on
-    "restart": FaultProperties(FAULT_TARGETS, lasts=False),
-    # the motor counts steps without moving
-    "stall": FaultProperties(("joint",)),
-    # the tracker does not see the coil
-    "lose_tool": FaultProperties(("tracker",)),
-    # the tracker does not see the target's coil
-    "lose_target": FaultProperties(("tracker",)),
-    # the coil's plug is pulled
-    "unplug": FaultProperties(("tracker",)),
-    # `value` is the offset of the coil's position along the world's x axis
-    "jump": FaultProperties(("tracker",), MAX_JUMP_M, "m"),
-    # the sensor reads as overloaded
-    "saturate": FaultProperties(("sensor",)),
-    # the device repeats one sample or frame
-    "freeze": FaultProperties(("tracker", "sensor")),
-    # the box reports a failure of its analog board
-    "bad_status": FaultProperties(("sensor",)),
-}
+    "drop_bytes": FaultProperties(
+        "This share of the bytes (of a force sensor: of its datagrams) is lost in both directions.",
+        SERIAL_TARGETS, PROBABILITY, "probability"),
+    "flip_bits": FaultProperties(
+        "This share of the bytes (of a force sensor: of its datagrams) is damaged in both directions.",
+        SERIAL_TARGETS, PROBABILITY, "probability"),
+    "delay": FaultProperties("Every reply comes later by this time.", SERIAL_TARGETS, MAX_DELAY_S, "s"),
+    "mute": FaultProperties("The device does not reply.", FAULT_TARGETS),
+    "disconnect": FaultProperties(
+        "Stages, tracker: the computer's port disappears. Joint: the cable to its stage is cut, also for the stages"
+        " behind it. Force sensor: its box has no network.", FAULT_TARGETS),
+    "restart": FaultProperties("The device is switched off and on.", FAULT_TARGETS, lasts=False),
+    "stall": FaultProperties("The motor counts steps without moving.", ("joint",)),
+    "lose_tool": FaultProperties("The tracker does not see the coil at the tip.", ("tracker",)),
+    "lose_target": FaultProperties("The tracker does not see the coil on the target.", ("tracker",)),
+    "unplug": FaultProperties("The plug of the coil at the tip is pulled.", ("tracker",)),
+    "jump": FaultProperties("The measured position of the tip moves by this distance along the world's x axis.",
+        ("tracker",), MAX_JUMP_M, "m"),
+    "saturate": FaultProperties("The force sensor reads as overloaded.", ("sensor",)),
+    "freeze": FaultProperties("The device repeats one sample or frame.", ("tracker", "sensor")),
+    "bad_status": FaultProperties("The sensor's box reports a failure of its analog board.", ("sensor",)),
+}  # fmt: skip
 
 
 class FaultTarget(NamedTuple):

@@ -5,7 +5,6 @@ Each drive has an encoder, so it detects a stall. The bus carries one frame at a
 """
 
 import math
-import random
 from collections import deque
 from collections.abc import Sequence
 
@@ -33,7 +32,7 @@ from station.devices.cia402.protocol import (
 )
 from station.devices.zaber.setup import StageSetup
 from station.lab.motor import Motor
-from station.lab.simulated_zaber import Faults
+from station.lab.simulated_zaber import Faults, LineNoise
 from station.lab.wires import BUFFER_BYTES
 
 FIRST_SERIAL_NUMBER = 3000  #: a simulated drive has this serial number plus its node number
@@ -313,7 +312,7 @@ class SimulatedCanBus:
     def __init__(self, units: Sequence[SimulatedDrive], seed: int = 0) -> None:
         self.units = tuple(units)
         self._faults = Faults()
-        self._random = random.Random(seed)  # noqa: S311 - noise, not a secret
+        self.noise = LineNoise(seed)
         self._part, self._open, self._free = b"", False, -math.inf
         self._incoming: deque[tuple[float, Frame]] = deque()  # frames of the host with their ends
         self._out: deque[tuple[float, bytes]] = deque()  # lines to the host with their times
@@ -342,7 +341,7 @@ class SimulatedCanBus:
         """Receive the bytes that the host has written until `now` [s]."""
         if self._faults.cut == 1:
             return
-        *lines, rest = (self._part + self._damaged(data[:BUFFER_BYTES])).split(b"\r")
+        *lines, rest = (self._part + self.noise.damage(data[:BUFFER_BYTES], self._faults)).split(b"\r")
         for line in lines:
             frame = decode(line)
             if frame is not None and self._open:
@@ -402,12 +401,4 @@ class SimulatedCanBus:
 
     def _send(self, line: bytes, at: float) -> None:
         if sum(len(line) for _, line in self._out) < BUFFER_BYTES:
-            self._out.append((at + self._faults.delay, self._damaged(line)))
-
-    def _damaged(self, data: bytes) -> bytes:
-        """Return the data with the line's faults: some bytes are lost, and some have a flipped bit."""
-        drop, flip = self._faults.drop, self._faults.flip
-        if drop == 0.0 and flip == 0.0:
-            return data
-        kept = [byte for byte in data if self._random.random() >= drop]
-        return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+            self._out.append((at + self._faults.delay, self.noise.damage(line, self._faults)))

@@ -1,7 +1,6 @@
 """A simulated G-code board at wire level: GRBL 1.1 at 115200 baud or Marlin 2 at 250000 baud."""
 
 import math
-import random
 import re
 from collections import deque
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from station.devices.gcode.protocol import BAUDS, Dialect
 from station.devices.gcode.setup import AxisSetup, GcodeAxisFile, Letter
 from station.devices.zaber.setup import StageSetup
 from station.lab.gcode_planner import Planner
-from station.lab.simulated_zaber import Faults, PacedLine, free_buffer
+from station.lab.simulated_zaber import Faults, LineNoise, PacedLine, free_buffer
 
 BLOCKS: dict[Dialect, int] = {"grbl": 15, "marlin": 16}
 BANNER = "Grbl 1.1h ['$' for help]"
@@ -63,7 +62,7 @@ class SimulatedBoard:
                 self.units[i].shift = at - round(at)
         self.alarm, self.killed = False, False
         self._byte_time = 10.0 / BAUDS[dialect]
-        self._faults, self._random = Faults(), random.Random(seed)  # noqa: S311 - noise, not a secret
+        self._faults, self.noise = Faults(), LineNoise(seed)
         self._incoming: deque[tuple[float, int]] = deque()  # bytes with their arrival
         self._lines: deque[bytes] = deque()
         self._part, self._free, self._deaf_until = b"", -math.inf, -math.inf
@@ -122,7 +121,7 @@ class SimulatedBoard:
         if self._faults.cut is not None:
             return
         time = max(self._free, now)
-        data = self._damaged(data)[: free_buffer(time - now, self._byte_time)]
+        data = self.noise.damage(data, self._faults)[: free_buffer(time - now, self._byte_time)]
         for byte in data:
             time += self._byte_time
             self._incoming.append((time, byte))
@@ -339,11 +338,4 @@ class SimulatedBoard:
     def _send(self, text: str, now: float) -> None:
         if text:
             data = b"".join(line.encode("ascii") + b"\r\n" for line in text.split("\n"))
-            self._out.put(self._damaged(data), now + PROCESSING_S + self._faults.delay)
-
-    def _damaged(self, data: bytes) -> bytes:
-        drop, flip = self._faults.drop, self._faults.flip
-        if drop == 0.0 and flip == 0.0:
-            return data
-        kept = [byte for byte in data if self._random.random() >= drop]
-        return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+            self._out.put(self.noise.damage(data, self._faults), now + PROCESSING_S + self._faults.delay)

@@ -21,7 +21,7 @@ from station.devices.zaber_ascii.stages import ascii_stages
 from station.lab.config import StagesKind
 from station.lab.simulated_cia402 import SimulatedCanBus, SimulatedDrive
 from station.lab.simulated_gcode import SimulatedBoard
-from station.lab.simulated_zaber import Faults, SimulatedChain
+from station.lab.simulated_zaber import Faults, LineNoise, SimulatedChain
 from station.lab.simulated_zaber_ascii import AsciiUnit, SimulatedAsciiChain
 from station.lab.zaber_unit import Unit, UnitKind
 
@@ -49,6 +49,11 @@ class SimulatedStages(Protocol):
     @property
     def units(self) -> Sequence[SimulatedUnit]:
         """The stages in the robot's order."""
+        ...
+
+    @property
+    def noise(self) -> LineNoise:
+        """The damage that the line does to the bytes of both directions."""
         ...
 
     def receive(self, data: bytes, now: float) -> None:

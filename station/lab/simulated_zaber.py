@@ -40,6 +40,24 @@ class Faults(NamedTuple):
     stalled: frozenset[int] = frozenset()  #: slots whose motors stand still although their step counters advance
 
 
+class LineNoise:
+    """The damage that a line with faults does to the bytes of both directions."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)  # noqa: S311 - noise, not a secret
+        self.damaged = 0  #: number of bytes that were lost or changed
+
+    def damage(self, data: bytes, faults: Faults) -> bytes:
+        """Return the data without its lost bytes; some bytes have a flipped bit."""
+        drop, flip = faults.drop, faults.flip
+        if drop == 0.0 and flip == 0.0:
+            return data
+        kept = [byte for byte in data if self._random.random() >= drop]
+        sent = bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+        self.damaged += len(data) - len(kept) + sum(a != b for a, b in zip(kept, sent, strict=True))
+        return sent
+
+
 class Waiting(NamedTuple):
     """Bytes that the line transmits one after the other."""
 
@@ -128,7 +146,7 @@ class SimulatedChain:
         self.units = tuple(units)
         self.time = 0.0
         self._processing = processing
-        self._random = random.Random(seed)  # noqa: S311 - noise, not a secret
+        self.noise = LineNoise(seed)
         self._in, self._out = ReceivedLine(), PacedLine()
         self._faults = Faults()
 
@@ -160,7 +178,7 @@ class SimulatedChain:
     def receive(self, data: bytes, now: float) -> None:
         """Receive the bytes that the host has written until `now` [s]."""
         if data and self._faults.cut != 1:
-            self._in.put(self._damaged(data), now)
+            self._in.put(self.noise.damage(data, self._faults), now)
 
     def advance(self, now: float) -> bytes:
         """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
@@ -203,15 +221,7 @@ class SimulatedChain:
     def _send(self, slot: int, message: ZaberMessage, now: float) -> None:
         faults = self._faults
         if slot not in faults.mute and (faults.cut is None or slot < faults.cut):
-            self._out.put(self._damaged(encode(message)), now + faults.delay)
-
-    def _damaged(self, data: bytes) -> bytes:
-        """Return the data with the line's faults: some bytes are lost, and some have a flipped bit."""
-        drop, flip = self._faults.drop, self._faults.flip
-        if drop == 0.0 and flip == 0.0:
-            return data
-        kept = [byte for byte in data if self._random.random() >= drop]
-        return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+            self._out.put(self.noise.damage(encode(message), self._faults), now + faults.delay)
 
 
 class LineDevices(Protocol):

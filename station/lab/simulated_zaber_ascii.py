@@ -6,7 +6,6 @@ Source: the manufacturer's ASCII Protocol Manual for firmware 7.
 """
 
 import math
-import random
 from collections import deque
 from collections.abc import Sequence
 
@@ -21,7 +20,7 @@ from station.devices.zaber_ascii.protocol import (
     checksum,
 )
 from station.lab.motor import Motor
-from station.lab.simulated_zaber import Faults, PacedLine, free_buffer
+from station.lab.simulated_zaber import Faults, LineNoise, PacedLine, free_buffer
 
 FIRST_SERIAL_NUMBER = 2000  #: a simulated device has this serial number plus its address
 ROTARY_ID, LINEAR_ID = 50952, 50105  #: device IDs of the simulated devices
@@ -199,7 +198,7 @@ class SimulatedAsciiChain:
         self.units = tuple(units)
         self.time = 0.0
         self._faults = Faults()
-        self._random = random.Random(seed)  # noqa: S311 - noise, not a secret
+        self.noise = LineNoise(seed)
         self._incoming: deque[tuple[float, bytes]] = deque()  # complete lines with the arrival of their last byte
         self._part, self._free = b"", -math.inf
         self._out = PacedLine(BYTE_TIME_S)
@@ -224,7 +223,7 @@ class SimulatedAsciiChain:
         if self._faults.cut == 1:
             return
         time = max(self._free, now)
-        data = self._damaged(data)[: free_buffer(time - now, BYTE_TIME_S)]
+        data = self.noise.damage(data, self._faults)[: free_buffer(time - now, BYTE_TIME_S)]
         self._free = time + len(data) * BYTE_TIME_S
         *lines, rest = (self._part + data).replace(b"\r", b"\n").split(b"\n")
         sent = time - len(self._part) * BYTE_TIME_S
@@ -280,15 +279,7 @@ class SimulatedAsciiChain:
         line = text.encode("ascii")
         if self.units[slot - 1].settings["comm.checksum"]:
             line += b":%02X" % checksum(line[1:])
-        self._out.put(self._damaged(line + b"\r\n"), now + faults.delay)
-
-    def _damaged(self, data: bytes) -> bytes:
-        """Return the data with the line's faults: some bytes are lost, and some have a flipped bit."""
-        drop, flip = self._faults.drop, self._faults.flip
-        if drop == 0.0 and flip == 0.0:
-            return data
-        kept = [byte for byte in data if self._random.random() >= drop]
-        return bytes(b ^ 1 << self._random.randrange(8) if self._random.random() < flip else b for b in kept)
+        self._out.put(self.noise.damage(line + b"\r\n", self._faults), now + faults.delay)
 
 
 def _is_integer(text: str) -> bool:

@@ -294,11 +294,11 @@ class _Recording:
         start, first = self._run_rows.motion_start, self._request.counted_from
         if start is None:
             return {}
+        motion = {"motion_start": start, "motion_s": round(self._last - start, 3), "counted_from_s": first}
         if self._request.metadata.get("settings", {}).get("trajectory", {}).get("kind") == JOINT_SWEEP:
-            return {"motion_start": start, "counted_from_s": first}
+            return motion
         recording = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS)
-        found = motion_errors(recording.of, start, first)
-        return {"motion_start": start, "counted_from_s": first, **found}
+        return {**motion, **motion_errors(recording.of, start, first)}
 
     def _summary(self, label: RunOutcome, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         metadata = self._request.metadata

@@ -57,14 +57,19 @@ def evaluation_note(cases: Mapping[str, Mapping[str, Any]]) -> str:
     return f"Errors count from these times after the motion's start on: {each}."
 
 
-def errors(prefix: str, error: Array) -> dict[str, Any]:
-    """Return statistics of tip errors (samples, 3) [m]: largest and RMS by axis, largest and mean distance [mm]."""
+def errors(prefix: str, error: Array, time: Array) -> dict[str, Any]:
+    """Return statistics of tip errors (samples, 3) [m]: largest and RMS by axis, largest and mean distance [mm].
+
+    `time` (samples,) is the time of each sample since the motion's start [s].
+    """
     millimetres = 1e3 * error
+    distance = np.linalg.norm(millimetres, axis=1)
     return {
         f"{prefix}max_abs_error_mm": rounded(np.abs(millimetres).max(axis=0)),
-        f"{prefix}max_distance_mm": rounded(np.linalg.norm(millimetres, axis=1).max()),
+        f"{prefix}max_distance_mm": rounded(distance.max()),
+        f"{prefix}max_distance_at_s": rounded(time[distance.argmax()], 3),
         f"{prefix}rms_error_mm": rounded(rms(millimetres)),
-        f"{prefix}mean_error_mm": rounded(np.linalg.norm(millimetres, axis=1).mean()),
+        f"{prefix}mean_error_mm": rounded(distance.mean()),
     }
 
 
@@ -99,9 +104,9 @@ def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Map
     tracked = bool((of("trouble")[counted, 1] != ABSENT).any())
     if not (frames.any() if tracked else counted.any()):
         return {}
-    found = errors("", frame_errors(of, frames, start)) if tracked else {}
+    found = errors("", frame_errors(of, frames, start), of("tip_time")[frames, 0] - start) if tracked else {}
     if of("truth_known")[counted].all():
-        found |= errors("true_", (desired(of, "target_true") - of("tip_true"))[counted])
+        found |= errors("true_", (desired(of, "target_true") - of("tip_true"))[counted], of("time")[counted, 0] - start)
     known = tracked or bool((of("trouble")[counted, 2] != ABSENT).any())
     return found | (largest_force(of("force_filtered")[counted]) if known else {})
 
@@ -130,6 +135,8 @@ class CaseOutcome(Strict):
     """largest error in x, y, z [mm]"""
     largest_distance: float
     """largest distance from the desired tip [mm]"""
+    largest_at: float | None = None
+    """time of the largest distance, after the motion's start [s]; null in runs of older versions"""
     rms: Vector
     """root mean square of the error in x, y, z [mm]"""
     rms_distance: float
@@ -140,6 +147,8 @@ class CaseOutcome(Strict):
     """root mean square of the distance by the tracker [mm], beside the true one; null as `measured_largest`"""
     force: float | None = None
     """largest filtered force at the tip [N]; null in runs of older versions"""
+    duration: float | None = None
+    """duration of the motion [s]; null in runs of older versions"""
     counted_from: float = 0.0
     """time after the motion's start from which errors count [s]"""
 
@@ -163,11 +172,13 @@ def _outcome(numbers: Mapping[str, Any]) -> CaseOutcome | None:
             against=against,
             largest=numbers[f"{prefix}max_abs_error_mm"],
             largest_distance=numbers[f"{prefix}max_distance_mm"],
+            largest_at=numbers.get(f"{prefix}max_distance_at_s"),
             rms=rms,
             rms_distance=round(math.hypot(*rms), 4),
             measured_largest=None if measured is None else numbers["max_distance_mm"],
             measured_rms=None if measured is None else round(math.hypot(*measured), 4),
             force=numbers.get("force_max_N"),
+            duration=numbers.get("motion_s", numbers.get("simulated_s")),
             counted_from=numbers.get("counted_from_s", 0.0),
         )
     except (KeyError, TypeError, ValidationError):

@@ -21,9 +21,12 @@ TOLERANCE = np.array([0.05, 0.05, 0.003])
 
 
 def fuzz(kind: StagesKind, cases: int, seed: int) -> dict[str, int]:
-    """Run `cases` of 0.3 s with damaged bytes, each followed by a recovery; return the counts."""
+    """Run `cases` of 0.3 s with damaged bytes, each followed by a recovery; return the counts.
+
+    `damaged` counts the bytes that were lost, changed or inserted in both directions.
+    """
     source, robot = random.Random(seed), load_robot("paper")
-    result = {"cases": 0, "exceptions": 0, "hangs": 0, "false_accepts": 0}
+    result = {"cases": 0, "damaged": 0, "exceptions": 0, "hangs": 0, "false_accepts": 0}
     bench = StagesBench(robot, kind, seed=seed).connect()
     for case in range(cases):
         result["cases"] += 1
@@ -31,11 +34,15 @@ def fuzz(kind: StagesKind, cases: int, seed: int) -> dict[str, int]:
             bench.simulated.faults = Faults(flip=10 ** source.uniform(-4, -1), drop=10 ** source.uniform(-4, -1))
             for _ in range(5):
                 bench.run(0.06, swing)
-                bench.host.device.to_host.extend(source.randbytes(source.randrange(40)))
-                bench.simulated.receive(source.randbytes(source.randrange(40)), bench.now)
+                to_host, to_device = source.randbytes(source.randrange(40)), source.randbytes(source.randrange(40))
+                bench.host.device.to_host.extend(to_host)
+                bench.simulated.receive(to_device, bench.now)
+                result["damaged"] += len(to_host) + len(to_device)
                 wrong = np.abs(bench.reading.positions - bench.truth) > TOLERANCE
                 result["false_accepts"] += bool(bench.stages.ready and wrong.any())
             bench.simulated.faults = Faults()
+            result["damaged"] += bench.simulated.noise.damaged
+            bench.simulated.noise.damaged = 0
             bench.run(0.3)
             bench.connect()
             result["hangs"] += bench.stages.condition is not Condition.CONNECTED

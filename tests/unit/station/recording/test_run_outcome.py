@@ -48,10 +48,11 @@ def columns(late: float = 0.0, known: bool = True) -> dict[str, np.ndarray]:
 
 
 def test_tracking_errors_are_per_axis_in_millimetres():
-    found = errors("true_", np.array([[1e-3, -2e-3, 0.0], [-3e-3, 2e-3, 0.0]]))
+    found = errors("true_", np.array([[1e-3, -2e-3, 0.0], [-3e-3, 2e-3, 0.0]]), np.array([5.0, 7.5]))
 
     assert found["true_max_abs_error_mm"] == [3.0, 2.0, 0.0]
     assert found["true_rms_error_mm"] == pytest.approx([np.sqrt(5.0), 2.0, 0.0], abs=1e-4)
+    assert found["true_max_distance_at_s"] == 7.5
     assert found["true_mean_error_mm"] == pytest.approx((np.sqrt(5.0) + np.sqrt(13.0)) / 2, abs=1e-4)
 
 
@@ -62,6 +63,17 @@ def test_a_frame_is_compared_with_the_setpoint_at_its_measurement_time():
 
     assert found["max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
     assert found["true_max_abs_error_mm"] == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
+
+
+def test_the_time_of_the_largest_error_is_that_of_its_measurement_after_the_start():
+    values = columns(late=0.5)
+    values["tip_measured"][np.searchsorted(TIME, 12.5)] += 1.0  # between two frames: it is not counted
+    frame = np.flatnonzero(values["tip_new"][:, 0])[40]
+    values["tip_measured"][frame] += 1.0
+
+    found = motion_errors(values.__getitem__, 10.0, 0.0)
+
+    assert found["max_distance_at_s"] == pytest.approx(TIME[frame] - 0.5 - 10.0, abs=1e-3)
 
 
 def test_without_a_tracker_the_true_errors_remain_and_without_force_sensors_no_force():
