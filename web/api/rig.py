@@ -142,6 +142,8 @@ class FaultKindOut(Strict):
     """A kind of fault that can be injected."""
 
     kind: str
+    effect: str
+    """what the fault does, as a sentence"""
     devices: tuple[str, ...]
     """devices or joints that it can affect"""
     most: float | None
@@ -257,6 +259,7 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
         return [
             FaultKindOut(
                 kind=name,
+                effect=kind.effect,
                 devices=tuple(device for part in kind.parts for device in targets[part]),
                 most=kind.maximum,
                 unit=kind.unit,

@@ -96,7 +96,10 @@ def _latched(status: StationStatus, reader: Reader) -> StateMessage:
     if status.state in _CONSEQUENCES:
         text = f"{text}. {_CONSEQUENCES[status.state]}"
     if reader.resets:
-        return StateMessage(text, "press Reset" if reader.simulated else "check the rig, then press Reset", "reset")
+        first = [] if reader.simulated else ["check the rig"]
+        if status.state is State.FAULT:
+            first.insert(0, "remove the cause")
+        return StateMessage(text, f"{' and '.join(first)}, then press Reset" if first else "press Reset", "reset")
     who = "an operator" if reader.operator is None else f"'{reader.operator}'"
     return StateMessage(text, f"{who} can reset the station{'' if reader.views_only else ', or take over'}", "reset")
 

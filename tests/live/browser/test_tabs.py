@@ -1,5 +1,6 @@
 """The tabs as an operator uses them, without the scene, which needs a whole processor."""
 
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -249,11 +250,13 @@ def test_runs_tab_lists_annotates_replays_and_compares_runs(page: Page, station:
     cards = page.locator("#runs .card", has_text="circle, radius 3 mm, period 4 s")
     cards.nth(1).wait_for()
     page.get_by_text("Tick two runs to compare them").wait_for()
+    cards.first.get_by_text("complete · 2 s ·").wait_for()
     assert all(float(number) > 0.0 for number in cards.first.locator(".number").all_inner_texts())
     picture(page, "runs")
     cards.first.click()
     page.locator(".result .ended", has_text="complete").wait_for()
     page.locator(".result svg.curve").nth(1).wait_for()
+    page.locator(".result", has_text=re.compile(r"Largest distance at \d+(\.\d+)? s\.")).wait_for()
     picture(page, "result")
     page.locator("#numbers summary").click()
     page.locator("#numbers td", has_text="5001 numbers").first.wait_for()
@@ -292,6 +295,7 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
     tab(page, "faults")
     page.get_by_label("fault", exact=True).select_option("lose_tool")
     page.locator("#faults").get_by_label("duration [s]").fill("1.5")
+    page.locator("#faults", has_text="The tracker does not see the coil at the tip.").wait_for()
     page.get_by_role("button", name="Inject").click()
     page.locator("#state", has_text="HOLD").wait_for()
     page.locator("#faults", has_text="What to do").wait_for()
@@ -299,7 +303,7 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
     page.locator("#lights li[title*='tracker: connected, nothing is wrong'] .light[data-severity='0']").wait_for()
     page.locator("#faults").get_by_role("button", name="Reset").click()
     page.locator("#state", has_text="READY").wait_for()
-    page.locator("#faults td", has_text="lose_tool").first.wait_for()
+    page.locator("#faults td", has_text=re.compile("^Inject a fault.*lose_tool")).first.wait_for()
 
 
 # ---- keyboard only, colour blindness, small screens

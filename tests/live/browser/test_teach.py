@@ -95,6 +95,17 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
     teach.get_by_text("A motion from here shifts the whole path").wait_for(state="hidden")
 
 
+def test_waypoints_are_added_from_the_jog_tab(teach: Page) -> None:
+    open_tab(teach, "jog")
+    for number in (1, 2):
+        teach.get_by_role("button", name="Add the tip to the waypoints").click()
+        note = teach.locator(".note.good", has_text=f"waypoint {number} is added")
+        note.wait_for()
+    note.get_by_role("button", name="Open").click()
+    assert [row[1:] for row in table(teach)[:1]] == [[0.0, 0.0, 0.0]]
+    assert len(table(teach)) == 2
+
+
 def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:
     take(teach, POINTS)
     says(teach, "✓ according to the model, the tip reaches all 3 in 8 s")

@@ -10,22 +10,23 @@ const rig = await request("GET", "/api/rig");
 const kinds = await request("GET", "/api/faults");
 const kind = make("select", { "aria-label": "fault" }, ...kinds.map((entry) => make("option", { value: entry.kind }, entry.kind.replaceAll("_", " "))));
 const device = make("select", { "aria-label": "device" });
-const value = make("input", { type: "number", step: "any", min: 0, "aria-label": "size" }), sizeRow = row("size", value);
+const value = make("input", { type: "number", step: "any", min: 0, "aria-label": "size" }), sizeRow = row("size", value), effect = make("p", { className: "small dim" });
 const durationInput = make("input", { type: "number", step: "any", min: 0.01, value: 2, "aria-label": "duration [s]", placeholder: "unlimited" });
 const inject = make("button", { type: "submit" }, "Inject"), clearFaults = button("Clear faults", () => sendCommand("DELETE", "/api/faults"));
 const lab = make("form", {}, make("fieldset", {}, make("legend", {}, "Inject a fault into a simulated device"),
-  make("div", { className: "rows" }, ...row("fault", kind), ...row("device", device), ...sizeRow, ...row("for", durationInput, "s")),
+  effect, make("div", { className: "rows" }, ...row("fault", kind), ...row("device", device), ...sizeRow, ...row("for", durationInput, "s")),
   make("div", { className: "acts" }, inject, clearFaults)));
 
 function choose() {
   const chosen = kinds.find((entry) => entry.kind === kind.value);
-  device.replaceChildren(...chosen.devices.map((entry) => make("option", { value: entry }, entry.replaceAll("_", " "))));
+  device.replaceChildren(...chosen.devices.map((entry) => make("option", { value: entry }, rig.tubes.includes(entry) ? `force sensor, ${entry.replaceAll("_", " ")} tube` : entry.replaceAll("_", " "))));
   value.disabled = chosen.most === null;
   for (const cell of sizeRow) cell.hidden = value.disabled;
   value.required = chosen.most !== null;
   value.max = chosen.most ?? "";
   value.value = chosen.most === null ? "" : Math.min(0.05, chosen.most);
   sizeRow.at(-1).textContent = chosen.most === null ? "" : `${chosen.unit}, at most ${chosen.most}`;
+  effect.textContent = chosen.effect;
   durationInput.disabled = !chosen.lasts;
 }
 kind.addEventListener("change", choose);
@@ -65,6 +66,15 @@ onStatus((status, stale) => {
   ]);
 });
 
+/** Names of commands as on their buttons, in the log instead of their requests. */
+const COMMANDS = {
+  "POST /api/start": "Start", "POST /api/stop": "STOP", "POST /api/reset": "Reset", "POST /api/connect": "Connect",
+  "POST /api/home": "Home", "POST /api/jog": "Jog", "POST /api/goto": "Go to a pose", "POST /api/tare": "Zero the force sensors",
+  "POST /api/load": "Load", "POST /api/faults": "Inject a fault", "DELETE /api/faults": "Clear faults", "POST /api/mark": "Mark",
+  "POST /api/operator": "Take control", "DELETE /api/operator": "Release control",
+};
+const commandName = (what) => what.replace(/^[A-Z]+ \/api\/\w+(?![\w/])/, (sent) => COMMANDS[sent] ?? sent);
+
 poll("faults", "/api/log?count=60", 1000, (entries) => log.replaceChildren(
   make("tr", {}, ...["time", "who", "what", "outcome"].map((entry) => make("th", {}, entry))),
-  ...entries.map((entry) => make("tr", {}, make("td", { className: "time" }, timeOfDay(new Date(entry.time))), make("td", { title: entry.where }, entry.who), make("td", { className: "any" }, entry.what), make("td", { className: "any" }, entry.outcome)))));
+  ...entries.map((entry) => make("tr", {}, make("td", { className: "time" }, timeOfDay(new Date(entry.time))), make("td", { title: entry.where }, entry.who), make("td", { className: "any", title: entry.what }, commandName(entry.what)), make("td", { className: "any" }, entry.outcome)))));

@@ -27,6 +27,16 @@ const TIPS = [
   ["true", "where the simulated tip is; only a virtual lab knows it, and the controller never does"],
 ];
 
+const WORDS = [
+  ["error", "distance of the tip from its desired position"],
+  ["deflection", "distance by which the load moves the tip, from the model and the measured force"],
+  ["force", "force on the tip, from the force sensors at the bases of the tubes, filtered"],
+  ["working pose", "pose with room for motions in all directions; the robot goes there after homing"],
+  ["zero (tare)", "set the force sensors to zero while nothing touches the tubes"],
+  ["missed", "periods of the 500 Hz control loop that this computer was too busy to keep"],
+  ["MCAP", "format of the recordings; CSV, Parquet and MATLAB files are made from it"],
+];
+
 const list = (rows) => make("dl", {}, ...rows.flatMap(([term, text]) => [make("dt", {}, term), make("dd", {}, text)]));
 
 const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
@@ -34,6 +44,7 @@ const dialog = make("dialog", { id: "help", "aria-labelledby": "help-title" },
   make("h3", {}, "States"), list(STATES),
   make("h3", {}, "Keys"), list(KEYS),
   make("h3", { id: "help-tips" }, "Four marks of the tip"), list(TIPS),
+  make("h3", {}, "Words"), list(WORDS),
   make("h3", {}, "Notifications"), switches(),
   make("p", {}, make("a", { href: "/api/docs", target: "_blank" }, "REST interface"), " for scripts"),
   make("menu", {}, button("Close", () => dialog.close(), { className: "main" })));

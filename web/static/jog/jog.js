@@ -2,7 +2,7 @@
 // 0.3 s, so the robot also stops when the page is lost.
 import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, tidy, unit, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { onTab } from "../page/tabs.js";
+import { onTab, openTab } from "../page/tabs.js";
 import { poseText, row } from "../page/form.js";
 
 const REPEAT_MS = 100; // interval between two jog commands [ms]
@@ -129,7 +129,11 @@ if (rig.turn_speed !== null) {
   $("jog").append(group("Direction of the tip", "about an axis of the world frame; the tip keeps its position", [turnRate],
     ["x", "y", "z"].map((name, i) => axisRow(`turn about ${name}`, 3, i, "direction", turnRate.value, () => ""))));
 }
-$("jog").append(make("div", { id: "hands" }));
+const teach = button("Add the tip to the waypoints", async () => {
+  const { addHere } = await import("../run/waypoints.js");
+  note(`waypoint ${addHere()} is added: run the list in the tab Run, motion 'waypoints'`, true, button("Open", () => openTab("start")));
+}, { title: "at the measured position of the tip; the first waypoint is the start" });
+$("jog").append(make("div", { className: "acts" }, teach), make("div", { id: "hands" }));
 onTab("jog", (open) => { if (!open) release(); });
 
 // ---- motion to a joint pose: the working pose of the robot's file, or any other
@@ -174,5 +178,6 @@ onStatus((status, stale) => {
   if (!ready) release();
   for (const control of controls) control.disabled = !ready;
   for (const control of [goButton, toWorkingPose]) control.disabled = !mayGo;
+  teach.disabled = !mayGo || status.tip_measured === null;
   if (status !== null) showReason(reason, status, ready);
 });

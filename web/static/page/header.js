@@ -114,9 +114,12 @@ onStatus((status) => {
 
 // ---- state, run, devices, loop timing
 
+const AT_REST = ["READY", "HOLD", "STOPPED", "FAULT"];
+
 function showRun(status) {
   const run = status.run, on = run !== null && status.state === "RUNNING" && status.phase !== "jogging"; // a jog is no run
-  $("run-title").textContent = run === null ? "" : on ? run.title : `last run: ${run.title}`;
+  // While another motion is in progress, for example homing, the last run is of no interest.
+  $("run-title").textContent = run === null ? "" : on ? run.title : AT_REST.includes(status.state) ? `last run: ${run.title}` : "";
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
   $("run-left").textContent = !on ? "" : run.phase === "moving"
@@ -221,6 +224,6 @@ onStatus((status) => {
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
   setText($("loop"), `500 Hz, ${missed} missed`);
-  $("loop").title = `control loop: ${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
+  $("loop").title = `Control loop: it should run 500 times a second. A period is missed if this computer was too busy; single ones do no harm.\n${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
     + ` p99.9 ${late.p99_9} µs, max ${late.max} µs; work p50 ${work.p50} µs, p99 ${work.p99} µs`;
 });

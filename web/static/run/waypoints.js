@@ -15,6 +15,15 @@ const cellText = (value, column) => (Number.isFinite(value) ? tidy(Number((colum
 const rig = await request("GET", "/api/rig");
 let table = null; // the table shown on the page
 
+/** Speed between waypoints until the user chooses another one [m/s]. */
+const USUAL_SPEED = 5 * MM;
+
+/** Add a waypoint at the measured tip, as the button of the table does; return its number. */
+export function addHere() {
+  add(latest().tip_measured, latest().joints, USUAL_SPEED);
+  return rows().length;
+}
+
 /**
  * Return a form field: {element, read() in SI, blockedReason(), recheck()}. The element sends an event `places` at each
  * change. `rest()` returns the motion's other fields and its controller. `goThere(title, pose, body)` moves the robot to a
@@ -22,7 +31,7 @@ let table = null; // the table shown on the page
  */
 export function waypoints(rest, goThere) {
   const body = make("tbody"), message = make("p", { className: "small", role: "status" }), picture = make("div");
-  const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: 5, required: true, "aria-label": "speed between waypoints" });
+  const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: USUAL_SPEED / MM, required: true, "aria-label": "speed between waypoints" });
   const addButton = button("Add waypoint here", () => add(latest().tip_measured, latest().joints, metresPerSecond()), { className: "main" }), undoButton = button("Undo", undo);
   const offsetWarning = make("span", { className: "small mind" });
   const goButton = button("Go to the start…", () => goThere("Go to the start?", origin().joints, { joints: origin().joints }));

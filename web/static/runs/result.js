@@ -24,6 +24,12 @@ export function errorSummary(run) {
   return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];
 }
 
+/** Return the duration of a run's motion, the sum over its cases; empty if unknown. */
+export function durationOf(run) {
+  const seconds = Object.values(run.outcomes).map((one) => one.duration);
+  return seconds.length === 0 || seconds.includes(null) ? "" : `${readable(Number(seconds.reduce((sum, one) => sum + one, 0).toFixed(1)))} s`;
+}
+
 /** Return from which time of the motion the errors of a run count; empty if they count from its start. */
 export function countedFrom(run) {
   const from = Math.max(0, ...Object.values(run.outcomes).map((one) => one.counted_from));
@@ -47,10 +53,12 @@ function numbers(run) {
     row("largest", one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
     row("RMS", one.rms, one.rms_distance, ""),
   ]);
+  const at = cases.filter(([, one]) => one.largest_at !== null).map(([name, one]) => `${many ? `${name.replaceAll("_", " ")} ` : ""}${readable(one.largest_at)} s`);
+  const when = at.length === 0 ? "" : ` Largest distance at ${at.join(", ")}.`;
   const [, first] = cases[0], measured = cases.map(([, one]) => one).filter((one) => one.measured_largest !== null);
   const byTracker = measured.length === 0 ? "" : ` The tracker measured distances of at most ${range(measured.map((one) => one.measured_largest))}, RMS ${range(measured.map((one) => one.measured_rms))}.`;
   return make("div", {}, make("table", {}, make("tr", {}, ...head), ...rows),
-    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.${byTracker}`));
+    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.${when}${byTracker}`));
 }
 
 /** Return charts with the curves of all `cases`: [[name, curve]]. */
@@ -140,7 +148,9 @@ function numbersOfTwo(runs) {
       line("largest distance", x.largest_distance, y.largest_distance),
       ...["x", "y", "z"].map((axis, i) => line(`largest in ${axis}`, x.largest[i], y.largest[i])),
       line("RMS distance", x.rms_distance, y.rms_distance),
+      line("largest distance at [s]", x.largest_at, y.largest_at, readable),
       line("largest force", x.force, y.force, (force) => force.toFixed(2)),
+      line("duration [s]", x.duration, y.duration, readable),
     ];
   });
   if (rows.length === 0) rows.push(["largest, RMS", ...runs.map((run) => errorSummary(run).join(", ")), ""]);

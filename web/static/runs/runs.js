@@ -1,7 +1,7 @@
 // History: recorded runs by day with their errors; title, star, tags, notes, replay, report, export, comparison, deletion.
-import { $, button, confirm, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
+import { $, button, confirm, dateTime, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { head, isOpen, onTab, openTab } from "../page/tabs.js";
-import { address, card, comparison, ended, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
+import { address, card, comparison, durationOf, ended, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
 
 const date = (seconds) => new Date(1000 * seconds);
 const day = (seconds) => date(seconds).toLocaleDateString(undefined, { weekday: "long", year: "numeric", month: "long", day: "numeric" });
@@ -25,7 +25,9 @@ const label = make("select", { "aria-label": "which runs" }, ...options([["", "a
 const order = make("select", { "aria-label": "order" }, ...options(Object.keys(ORDERS).map((one) => [one, one])));
 const compare = button("Compare two", async () => {
   const runs = await Promise.all([...chosen].map((id) => request("GET", `/api/runs/${encodeURIComponent(id)}`))).catch((error) => { note(error.message); return null; });
-  if (runs !== null) content.replaceChildren(head("all runs", overview), comparison(runs));
+  if (runs === null) return;
+  chosen.clear();
+  content.replaceChildren(head("all runs", overview), comparison(runs));
 });
 const removeChosen = button("Delete…", () => remove(found.filter((run) => chosen.has(run.id))), { className: "danger" });
 const selection = make("div", { className: "acts", style: "margin:0 0 8px" }, make("span", { className: "dim" }), compare, removeChosen);
@@ -64,16 +66,17 @@ function rows(deleted) {
 function showSelection() {
   selection.hidden = found.length === 0 || label.value === "deleted";
   selection.firstChild.textContent = chosen.size === 0 ? "Tick two runs to compare them" : `${chosen.size} chosen`;
-  compare.hidden = removeChosen.hidden = chosen.size === 0;
+  // Invisible buttons keep their space: the first tick must not move the rows under the pointer.
+  for (const act of [compare, removeChosen]) act.style.visibility = chosen.size === 0 ? "hidden" : "";
   compare.disabled = chosen.size !== 2;
   removeChosen.disabled = !mayCommand();
 }
 
 function describe(run) {
-  const clock = order.value === "newest" ? time(run.started) : date(run.started).toLocaleString(undefined, { hourCycle: "h23", dateStyle: "short", timeStyle: "short" });
+  const clock = order.value === "newest" ? time(run.started) : dateTime(date(run.started));
   return make("div", {},
     make("b", {}, run.starred ? `★ ${titleOf(run)}` : titleOf(run)),
-    make("span", {}, `${ended(run)} · ${clock} · ${size(run.size)}`),
+    make("span", {}, [ended(run), durationOf(run), clock, size(run.size)].filter((text) => text !== "").join(" · ")),
     run.tags.length === 0 ? null : make("span", {}, ...run.tags.map((tag) => make("i", { className: "tag" }, tag))),
     run.notes === "" ? null : make("span", {}, `“${run.notes.split("\n")[0]}”`));
 }
@@ -182,7 +185,7 @@ async function details(id) {
 const FORMATS = { csv: "CSV", parquet: "Parquet", mat: "MATLAB" };
 
 /** Return a line with the downloads of each case of a run; none if nothing was recorded. */
-const downloads = (run) => run.cases.map((one) => make("p", { className: "small" }, run.cases.length > 1 ? `${one.replaceAll("_", " ")}: ` : "Download: ",
+const downloads = (run) => run.cases.map((one) => make("p", { className: "small" }, run.cases.length > 1 ? `${one.replaceAll("_", " ")}: ` : "Download (SI units): ",
   make("a", { href: `${address(run.id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`),
   ...Object.entries(FORMATS).flatMap(([format, name]) => [" · ", make("a", { href: `${address(run.id, "export")}?format=${format}&case=${encodeURIComponent(one)}`, download: "", onclick: () => note(`The station writes the ${name} file. The download starts when the file is complete.`, true) }, name)])));
 
