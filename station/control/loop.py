@@ -88,7 +88,7 @@ class ControlLoop:
         self._rest: SettlePhase | None = None  # measurement at rest, before a motion or for a requested tare
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
-        self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
+        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
         self._target = TargetTrack()
         self._no_wrenches = np.zeros((len(controller.statics.robot.tubes), 6))  # of a bench without force sensors
 
@@ -199,7 +199,10 @@ class ControlLoop:
         self._target.end()
         self.controller, self._rest = task.controller, None
         self.progress = Progress(task, Phase.APPROACHING)
-        self._snap = SnapMonitor(task.margins or self._margins)
+        self._snap = self._snap_monitor(task.margins or self._margins)
+
+    def _snap_monitor(self, margins: Margins) -> SnapMonitor:
+        return SnapMonitor(margins, self.controller.statics.robot.joint_names)
 
     def tare(self, now: float) -> None:
         """Tare the force sensors with the mean of their next readings.
@@ -234,7 +237,7 @@ class ControlLoop:
         self._rest = None
         if self._memory is not None:
             self._memory = restart_setpoints_here(self._memory)
-        self._stall, self._snap = ProgressMonitor(), SnapMonitor(self._margins)
+        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
 
     # Tick
 
@@ -416,7 +419,7 @@ class ControlLoop:
             return False
         self._tare = self.controller.tare(rest.wrenches, joints.positions)
         self._memory = set_origin(self.controller, self._memory, tip)
-        self._stall, self._snap = ProgressMonitor(), SnapMonitor(task.margins or self._margins)
+        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(task.margins or self._margins)
         if task.follow is not None:
             self._target.follow(task.follow, task.controller, tip)
             self._motion = self._target

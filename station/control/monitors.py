@@ -7,8 +7,9 @@ pose the controller damps the joints; at a limit the joints stop. Both may be te
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -43,11 +44,63 @@ class Margins(Strict):
     """reaction to a robot whose tubes snap somewhere within their travel without load: show a warning, or refuse it"""
 
 
-class SnapMonitor:
-    """Monitor that checks every tick of one motion for a snap."""
+#: Number of tracker frames over which the motion of each joint is compared with that of the tip: 2 s at 40 Hz.
+LOST_FRAMES = 80
+#: Smallest tip motion by one joint in these frames that allows a conclusion about the joint [m].
+MIN_JOINT_MOTION_M = 3e-3
+#: Largest remainder of the difference between tracker and model that a stationary joint may leave unexplained, as a
+#: fraction of the tip motion that the joint should have caused.
+MAX_UNEXPLAINED = 0.4
 
-    def __init__(self, margins: Margins) -> None:
-        self._margins = margins
+
+class _Frame(NamedTuple):
+    away: Array  #: measured tip minus the model's tip (3,) [m]
+    moved: Array  #: sum of the tip motions that the counted motion of each joint causes in the model (3, n) [m]
+    joints: Array  #: counted joint positions (n,) [rad or m]
+
+
+class JointMonitor:
+    """Monitor that compares the counted motion of each joint with the tracker.
+
+    A motor without an encoder counts the steps that it should have made. If it loses them, the tip of the model moves
+    and the measured tip does not: the difference of both changes by minus the motion that the joint should have caused.
+    """
+
+    def __init__(self) -> None:
+        self._frames: deque[_Frame] = deque(maxlen=LOST_FRAMES)
+
+    def add(self, joints: Array, jacobian: Array, away: Array) -> None:
+        """Add a tracker frame.
+
+        Args:
+            joints: counted joint positions (n,) [rad or m].
+            jacobian: Jacobian (3, n) of the model's tip.
+            away: measured tip minus the model's tip (3,) [m].
+        """
+        moved = np.zeros_like(jacobian)
+        if self._frames:
+            moved = self._frames[-1].moved + jacobian * (joints - self._frames[-1].joints)
+        self._frames.append(_Frame(away.copy(), moved, joints.copy()))
+
+    def stationary(self) -> int | None:
+        """Return the index of the joint that has most probably not moved although it has counted; None if none fits."""
+        if not self._frames:
+            return None
+        away = self._frames[-1].away - self._frames[0].away
+        missing = self._frames[0].moved - self._frames[-1].moved
+        sizes = np.linalg.norm(missing, axis=0)
+        unexplained = np.linalg.norm(away[:, None] - missing, axis=0) / np.maximum(sizes, MIN_JOINT_MOTION_M)
+        unexplained[sizes < MIN_JOINT_MOTION_M] = np.inf
+        best = int(unexplained.argmin())
+        return best if unexplained[best] < MAX_UNEXPLAINED else None
+
+
+class SnapMonitor:
+    """Monitor that checks every tick of one motion for a snap, and names a joint that has lost steps."""
+
+    def __init__(self, margins: Margins, joint_names: Sequence[str]) -> None:
+        self._margins, self._joint_names = margins, joint_names
+        self._lost = JointMonitor()
         self._reference: Array | None = None  # recent difference of tracker and model (3,) [m]
         self._count = 0
         self._frame_at = 0.0
@@ -64,6 +117,7 @@ class SnapMonitor:
         if not frame:
             return None
         away = tick.memory.tip - loaded.tip
+        self._lost.add(loaded.joints, loaded.jacobian[:3], away)
         if self._reference is None:
             self._reference, self._frame_at = away, now
         # Drift of the sensors separates tracker and model by millimetres in minutes without a snap.
@@ -76,6 +130,14 @@ class SnapMonitor:
         self._count = self._count + 1 if apart > self._margins.apart else 0
         if self._count < CONFIRMING_FRAMES:
             return None
+        lost = self._lost.stationary()
+        if lost is not None:
+            return DeviceFault(
+                Severity.STOP,
+                f"the joint {self._joint_names[lost]} does not go where it was sent: the tracker shows the tip"
+                f" {1e3 * apart:.0f} mm from where the counted joint positions put it (limit"
+                f" {1e3 * self._margins.apart:g} mm); free the joint, check its motor, then home it again",
+            )
         return DeviceFault(
             Severity.STOP,
             f"the difference of tracker and model has changed by {1e3 * apart:.0f} mm within a minute, more than"

@@ -11,6 +11,7 @@ import pytest
 
 from core.robot.strength import design_snap_number
 from station.config.loads import ConstantLoad
+from station.config.motions import CircleMotion
 from station.config.robots import TubeFile, load_robot
 from station.config.strict import ConfigError
 from station.control.monitors import CONFIRMING_FRAMES, Margins, check_design
@@ -86,3 +87,23 @@ def test_usual_error_of_the_model_is_below_half_the_snap_threshold(virtual: Virt
 
     apart = virtual.of("tip_measured") - virtual.of("tip_estimated")
     assert np.linalg.norm(apart[-4000:] - apart[-4000], axis=1).max() < 0.5 * Margins().apart
+
+
+@pytest.mark.parametrize("joint", ["outer_rotation", "inner_rotation"])
+def test_joint_that_loses_its_steps_is_named_when_every_axis_stops(virtual: VirtualStation, joint: str) -> None:
+    virtual.moving(CircleMotion(radius=0.010, period=20.0), since=4.0)
+    virtual.fail("stall", joint)
+    virtual.becomes(State.STOPPED, 20.0)
+
+    assert virtual.loop.cause.startswith(f"the joint {joint} does not go where it was sent: ")
+    assert "home it again" in virtual.loop.cause
+    virtual.seconds(0.4)
+    assert virtual.rests()
+
+
+def test_jump_of_the_tip_while_the_joints_move_names_no_joint(virtual: VirtualStation) -> None:
+    virtual.moving(CircleMotion(radius=0.010, period=20.0), since=4.0)
+    virtual.lab.aurora.faults = replace(virtual.lab.aurora.faults, jump=0.05)
+    virtual.becomes(State.STOPPED, 1.0)
+
+    assert "does not go where" not in virtual.loop.cause

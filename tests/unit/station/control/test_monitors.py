@@ -49,7 +49,7 @@ class Drifting:
         self._tick = Tick(
             nothing, FusedLoad(nothing, nothing), nothing, Setpoint(nothing, nothing), nothing, nothing, nothing, memory
         )
-        self.monitor = SnapMonitor(Margins())
+        self.monitor = SnapMonitor(Margins(), ("one", "two", "three"))
 
     def frame(self, now: float, jump: float = 0.0) -> DeviceFault | None:
         """Check a tracker frame at `now` [s] whose tip has jumped by `jump` along z [m].
