@@ -185,9 +185,22 @@ class AxesOnLine(Protocol[Request, AnswerIn]):
 class StagesOnLine(Generic[Request, Answer]):
     """`Stages` on one line. `poll`, `command` and `stop` never raise: `trouble` reports faults."""
 
-    def __init__(self, state: AxesOnLine[Request, Answer], link: Link, answer: type[Answer]) -> None:
-        """Create the driver; `answer` is the type of the line's events that answer a request."""
-        self.condition = Condition.CLOSED
+    def __init__(
+        self,
+        state: AxesOnLine[Request, Answer],
+        link: Link,
+        answer: type[Answer],
+        brakes_within: float | None = None,
+    ) -> None:
+        """Create the driver.
+
+        Args:
+            state: state of the axes.
+            link: the line's port.
+            answer: type of the line's events that answer a request.
+            brakes_within: time after which an axis brakes by itself without commands [s]; None: it does not.
+        """
+        self.condition, self._brakes_within = Condition.CLOSED, brakes_within
         self._link, self._state, self._answer = link, state, answer
         self._runner = SequenceRunner[Request, Answer]()
         self._problem = self._details = ""  # why the condition is FAULT; raw values that belong to it
@@ -361,7 +374,8 @@ class StagesOnLine(Generic[Request, Answer]):
             setup, speed = state.setups[i], self._line.sent[i]
             end = setup.position(setup.maximum if speed > 0 else setup.minimum)
             last = setup.position(self._line.estimates[i].position + setup.minimum)
-            texts.append(f"{self._name(i)} cannot be reached; {reach(setup.joint, last, end, speed != 0)}")
+            text = reach(setup.joint, last, end, speed != 0, self._brakes_within)
+            texts.append(f"{self._name(i)} cannot be reached; {text}")
             self._must_home(i)
         self._details = "; ".join(dict.fromkeys(filter(None, (self._details, *map(self._address, stages), why))))
         if self.condition is Condition.FAULT:

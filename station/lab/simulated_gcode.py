@@ -337,5 +337,5 @@ class SimulatedBoard:
 
     def _send(self, text: str, now: float) -> None:
         if text:
-            data = b"".join(line.encode("ascii") + b"\r\n" for line in text.split("\n"))
+            data = b"".join(line.encode("ascii", "replace") + b"\r\n" for line in text.split("\n"))
             self._out.put(self.noise.damage(data, self._faults), now + PROCESSING_S + self._faults.delay)

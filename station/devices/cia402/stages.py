@@ -7,7 +7,7 @@ from core.errors import CtrError
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, check
 from station.devices.cia402.bus import DEADLINE_S, Answer, Request
-from station.devices.cia402.sequences import DrivesState
+from station.devices.cia402.sequences import WATCHDOG_MARGIN_S, DrivesState
 from station.devices.cia402.setup import Cia402File, DriveFile, DriveSetup
 from station.devices.config import in_order
 from station.devices.links.link import Link, SerialLink
@@ -20,7 +20,7 @@ def cia402_stages(
     setups: Sequence[DriveSetup], link: Link, deadline: float = DEADLINE_S
 ) -> StagesOnLine[Request, Answer]:
     """Return the driver of the drives on a bus."""
-    return StagesOnLine(DrivesState(setups, deadline), link, Answer)
+    return StagesOnLine(DrivesState(setups, deadline), link, Answer, deadline + WATCHDOG_MARGIN_S)
 
 
 def drive_setups(file: Cia402File, robot: RobotFile, key: str) -> list[DriveSetup]:

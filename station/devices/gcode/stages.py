@@ -14,6 +14,9 @@ from station.devices.gcode.setup import DEADLINE_S, LETTERS, AxisSetup, GcodeAxi
 from station.devices.links.link import Link, SerialLink
 from station.devices.stages_on_line import StagesOnLine
 
+#: Time for which the segments in a board's planner last [s]: 16 segments of 10 ms, and usually three to four.
+PLANNER_S = 0.2
+
 
 def gcode_stages(
     setups: Sequence[AxisSetup],
@@ -24,7 +27,7 @@ def gcode_stages(
     homing: Literal["firmware", "here"] = "firmware",
 ) -> StagesOnLine[Request, Answer]:
     """Return the driver of the axes of a G-code board."""
-    return StagesOnLine(GcodeState(setups, dialect, baud, deadline, homing), link, Answer)
+    return StagesOnLine(GcodeState(setups, dialect, baud, deadline, homing), link, Answer, PLANNER_S)
 
 
 def axis_setups(file: GcodeFile, robot: RobotFile, key: str) -> list[AxisSetup]:

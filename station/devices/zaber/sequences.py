@@ -8,6 +8,7 @@ import math
 from collections.abc import Generator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from station.devices.reach import reach
 from station.devices.zaber.chain import ZaberChain
 from station.devices.zaber.estimate import AxisEstimate
 from station.devices.zaber.protocol import (
@@ -68,15 +69,8 @@ class Units:
         """Return how far a stage that no longer receives commands can still move, as text."""
         chain, axis = self.where[i]
         setup, count, speed = self.setups[i], chain.estimates[axis].position, chain.sent[axis]
-        if speed == 0 or not math.isfinite(count):
-            return "it was not moving" if speed == 0 else "its position was unknown"
-        end = setup.maximum if speed > 0 else 0
-        scale, unit = (180.0 / math.pi, "deg") if setup.joint.motion == "rotation" else (1e3, "mm")
-        last, bound = scale * setup.position(count), scale * setup.position(end)
-        return (
-            f"last seen at {last:.1f} {unit}, it can run on to {bound:.1f} {unit},"
-            f" {abs(bound - last):.1f} {unit} away (hardware maximum position)"
-        )
+        end = setup.position(setup.maximum if speed > 0 else 0)
+        return reach(setup.joint, setup.position(count), end, speed != 0)
 
 
 class HomingStep(NamedTuple):

@@ -1,6 +1,7 @@
 """Contract of all stage drivers, checked on their simulated stages in virtual time: the same tests for every driver."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -165,6 +166,19 @@ def test_lost_line_is_a_fault_that_names_the_line(bench, kind):
     assert fault.severity is Severity.FAULT
     assert "cannot be reached" in fault.text
     assert kind in fault.details
+
+
+def test_fault_of_a_lost_line_states_whether_the_stages_brake_by_themselves(bench, kind):
+    bench.run(0.5, lambda now: SPEEDS.tolist())
+    bench.host.device.unplug()
+    bench.run(0.02)
+    brakes = re.search(r"it brakes by itself within ([\d.]+) s", bench.cause)
+    assert (brakes is None) is kind.startswith("zaber")
+    if brakes is None:
+        assert re.search(r"last seen at \S+ deg, it can run on to 360.0 deg, \S+ deg away", bench.cause)
+        assert (bench.run(1.0).speeds() > 0.9 * np.abs(SPEEDS)).all()
+    else:  # 0.3 s: time for the braking itself
+        assert bench.run(float(brakes[1]) + 0.3).speeds().tolist() == [0.0, 0.0, 0.0]
 
 
 def test_silent_stage_is_a_fault_that_names_it_and_stops_the_others(bench):
