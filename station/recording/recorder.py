@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD_S
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK, StationClock
@@ -294,7 +295,7 @@ class _Recording:
         start, first = self._run_rows.motion_start, self._request.counted_from
         if start is None:
             return {}
-        motion = {"motion_start": start, "motion_s": round(self._last - start, 3), "counted_from_s": first}
+        motion = {"motion_start": start, "motion_s": round(self._last - start + PERIOD_S, 3), "counted_from_s": first}
         if self._request.metadata.get("settings", {}).get("trajectory", {}).get("kind") == JOINT_SWEEP:
             return motion
         recording = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS)

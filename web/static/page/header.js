@@ -193,7 +193,7 @@ function showLatched(state, details) {
   $("latched").dataset.state = state;
   const box = $(latched ? "latched" : "state-box");
   if ($("message").parentElement !== box) box.insertBefore($("message"), latched ? meaning : null);
-  if (latched) setText(meaning.children[1], LATCHED[state]);
+  if (latched) setText(meaning.children[1], `${LATCHED[state]}${simulated ? " At the end of a motion the lab removes its load, so the tip springs back." : ""}`);
   setText(meaning.lastChild, details); // address, device and raw values, which the message omits
 }
 
