@@ -53,7 +53,7 @@ function numbers(run) {
     row("largest", one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
     row("RMS", one.rms, one.rms_distance, ""),
   ]);
-  const at = cases.filter(([, one]) => one.largest_at !== null).map(([name, one]) => `${many ? `${name.replaceAll("_", " ")} ` : ""}${readable(one.largest_at)} s`);
+  const at = cases.filter(([, one]) => one.largest_at !== null).map(([name, one]) => `${many ? `${name.replaceAll("_", " ")} ` : ""}${one.largest_at.toFixed(1)} s`);
   const when = at.length === 0 ? "" : ` Largest distance at ${at.join(", ")}.`;
   const [, first] = cases[0], measured = cases.map(([, one]) => one).filter((one) => one.measured_largest !== null);
   const byTracker = measured.length === 0 ? "" : ` The tracker measured distances of at most ${range(measured.map((one) => one.measured_largest))}, RMS ${range(measured.map((one) => one.measured_rms))}.`;
