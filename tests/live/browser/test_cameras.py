@@ -21,6 +21,13 @@ pose = { position = [-0.4, 0.0, 0.13], rotation_vector = [2.221441469079183, 0.0
 [cameras.usb]
 device = "/dev/v4l/by-id/usb-none-video-index0"
 """
+#: Whether an image element shows a picture, whose background is grey.
+BRIGHT = """(image) => {
+  const canvas = document.createElement("canvas"), pen = canvas.getContext("2d");
+  if (image.naturalWidth === 0) return false;
+  pen.drawImage(image, 0, 0, 8, 8);
+  return pen.getImageData(4, 1, 1, 1).data[1] > 40;
+}"""
 RULES = {"iframes": False, "runOnly": {"type": "tag", "values": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]}}
 
 
@@ -86,6 +93,7 @@ def test_large_picture_replaces_the_scene_and_stays_while_another_tab_is_open(
     open_tab(page, "jog")
     large = page.locator("#camera-large")
     large.locator("polyline.model").wait_for(state="attached")
+    page.wait_for_function(BRIGHT, arg=large.locator("img").element_handle())
     picture(page, "camera_large")
     assert camera(station, "side")["watched"]
     large.get_by_role("button", name="Small").click()

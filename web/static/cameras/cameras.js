@@ -10,7 +10,7 @@ const cameras = known.map((camera) => new Camera(camera));
 
 /** Picture of one camera with its overlay, state and buttons. */
 function Camera({ name, width, height, calibrated }) {
-  const path = `/api/cameras/${encodeURIComponent(name)}`;
+  const id = encodeURIComponent(name);
   const image = make("img", { alt: `live picture of camera ${name}` });
   const drawing = svg("svg", { viewBox: `-0.5 -0.5 ${width} ${height}`, "aria-hidden": "true" });
   const state = make("output", { "aria-label": `state of camera ${name}` }), problem = make("p", { className: "mind" });
@@ -21,7 +21,7 @@ function Camera({ name, width, height, calibrated }) {
   const picture = make("div", { className: "camera-picture", style: `aspect-ratio: ${width} / ${height}` }, image, drawing);
   const figure = make("figure", { className: "camera", style: `--ratio: ${width / height}` }, picture,
     make("figcaption", {}, make("b", {}, name), state, make("label", { title: calibrated ? "" : "the lens or the pose of this camera is not known" }, shown, "model over the picture"),
-      button("Snapshot", () => saveSnapshot(name, path)), enlarge, problem, legend));
+      button("Snapshot", () => saveSnapshot(name)), enlarge, problem, legend));
   let live = false, retry = 0, tries = 0;
 
   /** Start or end the stream: it runs only while the picture is visible. */
@@ -33,7 +33,7 @@ function Camera({ name, width, height, calibrated }) {
     clearTimeout(retry);
     if (live) connect(); else image.removeAttribute("src");
   };
-  const connect = () => { if (live) image.src = `${path}/stream?try=${(tries += 1)}`; };
+  const connect = () => { if (live) image.src = `/api/cameras/${id}/stream?try=${(tries += 1)}`; };
   image.addEventListener("error", () => {
     if (!live) return;
     clearTimeout(retry);
@@ -43,7 +43,7 @@ function Camera({ name, width, height, calibrated }) {
   setInterval(async () => {
     if (!live || !shown.checked || pending) return;
     pending = true;
-    try { draw(drawing, await request("GET", `${path}/overlay`, undefined, TIMEOUT_MS)); } catch { drawing.replaceChildren(); }
+    try { draw(drawing, await request("GET", `/api/cameras/${id}/overlay`, undefined, TIMEOUT_MS)); } catch { drawing.replaceChildren(); }
     pending = false;
   }, OVERLAY_INTERVAL_MS);
   shown.addEventListener("change", () => { if (!shown.checked) drawing.replaceChildren(); legend.hidden = !shown.checked; });
@@ -67,9 +67,9 @@ function draw(drawing, { tubes, tip_measured: measured, tip_desired: desired }) 
   drawing.replaceChildren(line(longest, "under"), line(longest, "model"), ...[["measured", measured], ["desired", desired]].filter(([, at]) => at !== null).map(([sign, at]) => mark(sign, at)));
 }
 
-async function saveSnapshot(name, path) {
+async function saveSnapshot(name) {
   try {
-    const answer = await fetch(`${path}/snapshot`, { cache: "no-store" });
+    const answer = await fetch(`/api/cameras/${encodeURIComponent(name)}/snapshot`, { cache: "no-store" });
     if (!answer.ok) throw new Error((await answer.json()).error);
     const file = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition") ?? "")?.[1] ?? `${name}.jpg`;
     const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: file });
@@ -86,6 +86,8 @@ function setLarge(figure) {
   large.replaceChildren(...(figure === null ? [] : [figure]));
   large.hidden = figure === null;
   $("cameras").replaceChildren(...cameras.map((one) => one.figure).filter((one) => one !== figure));
+  // Chromium ends the stream of an image that is moved within the page.
+  for (const camera of cameras) camera.connect();
   if (figure !== null && cameras.length === 1) $("cameras").append(make("p", { className: "dim" }, "The picture is next to these controls. Press Small to move it back."));
   updateAll();
 }

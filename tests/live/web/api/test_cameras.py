@@ -5,10 +5,10 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import cv2
-import httpx
 import numpy as np
 import psutil
 import pytest
@@ -120,20 +120,15 @@ def test_snapshot_of_a_missing_camera_is_refused_with_the_reason_and_has_no_over
 
 
 def test_streams_beyond_the_limit_are_refused(station: Served) -> None:
-    answers: list[httpx.Response] = []
-    try:
-        while True:
-            request = station.rest.build_request("GET", "/api/cameras/side/stream")
-            answers.append(station.rest.send(request, stream=True))
-            if answers[-1].status_code != 200:
-                break
-            next(answers[-1].iter_raw())
-        assert len(answers) == 9
-        answers[-1].read()
-        assert "8 streams" in answers[-1].json()["error"]
-    finally:
-        for answer in answers:
-            answer.close()
+    with ExitStack() as opened:
+        parts: list[Iterator[bytes]] = []
+        for _ in range(8):
+            answer = opened.enter_context(station.rest.stream("GET", "/api/cameras/side/stream"))
+            parts.append(answer.iter_raw())  # a generator that is dropped would close its stream
+            next(parts[-1])
+        refused = station.rest.get("/api/cameras/side/stream")
+        assert refused.status_code == 503
+        assert "8 streams" in refused.json()["error"]
     until(lambda: station.rest.get("/api/cameras/side/snapshot").status_code == 200)
     until(lambda: not cameras(station)["side"]["watched"])
 
