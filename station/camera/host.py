@@ -5,11 +5,22 @@ A failed camera never ends a motion. It gives a warning in the status, and its p
 
 import contextlib
 import threading
+import time
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 from station.camera.config import CameraFile
-from station.camera.process import CameraMessage, CameraPicture, CameraReport, CameraSetup, Watch, run_camera
+from station.camera.process import (
+    CameraMessage,
+    CameraPicture,
+    CameraReport,
+    CameraSetup,
+    EndVideo,
+    StartVideo,
+    Watch,
+    run_camera,
+)
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import StationClock
@@ -38,6 +49,7 @@ class CameraStatus(NamedTuple):
     age: float | None  #: time since the exposure of the newest frame [s]; None: no frame yet
     frames: int  #: number of frames since the start of the camera's process
     surplus: int  #: number of frames that came too fast and were dropped
+    video: int  #: number of frames in the video of the present run, or of the last one
 
 
 class CameraHost:
@@ -51,6 +63,8 @@ class CameraHost:
         self._report = CameraReport("the camera's process is starting", 0.0, 0, 0, None)
         self._ended = ""  # how the last process ended; empty while a process runs
         self._watched_until = self._sent = 0.0
+        self._video: StartVideo | None = None  # video that the camera must record; None: no video
+        self._ordered: StartVideo | None = None  # video that the camera's process was ordered to record
         self._closing = threading.Event()
         self.picture: CameraPicture | None = None  #: newest picture; None: no client needed one
         self._thread = threading.Thread(target=self._run, name=f"camera {setup.name}")
@@ -69,6 +83,16 @@ class CameraHost:
         self._watched_until = self._clock.now() + WATCH_S
 
     @property
+    def recording(self) -> bool:
+        """Whether the camera must record a video."""
+        return self._video is not None
+
+    def record(self, folder: Path | None) -> None:
+        """Record a video in the `folder` of a run's videos; None: end the video."""
+        clock = self._clock
+        self._video = None if folder is None else StartVideo(folder, time.time_ns() - round(1e9 * clock.now()))
+
+    @property
     def watched(self) -> bool:
         """Whether a client has requested pictures within `WATCH_S`."""
         return self._clock.now() < self._watched_until
@@ -77,7 +101,7 @@ class CameraHost:
         """Return the status of the camera."""
         now, report = self._clock.now(), self._report
         age = None if report.newest is None else now - report.newest
-        return CameraStatus(self._problem(now, age), report.rate, age, report.frames, report.surplus)
+        return CameraStatus(self._problem(now, age), report.rate, age, report.frames, report.surplus, report.video)
 
     def _problem(self, now: float, age: float | None) -> str:
         report, rate = self._report, self.camera.rate
@@ -92,7 +116,7 @@ class CameraHost:
             return f"no frame for {age:.0f} s; check the cable"
         if report.rate > FLOOD * rate:
             return f"the camera delivers {report.rate:.0f} frames/s instead of {rate:g}; surplus frames are dropped"
-        return ""
+        return report.video_problem
 
     def close(self) -> None:
         """End the camera's process."""
@@ -123,10 +147,13 @@ class CameraHost:
             self._child.kill()
             self._child.ended(self._clock.real(EXIT_TIMEOUT_S))
             self._replace()
-        elif (
-            now - self._sent > CHECK_INTERVAL_S and now < self._watched_until and now - self._reported < STALLED_AFTER_S
-        ):
-            # A silent process would not empty the pipe, and the message would wait for it.
+            return
+        if now - self._reported > STALLED_AFTER_S:
+            return  # a silent process would not empty the pipe, and a message would wait for it
+        if (video := self._video) is not self._ordered:
+            self._ordered = video
+            self._child.pipe.send(EndVideo() if video is None else video)
+        if now - self._sent > CHECK_INTERVAL_S and now < self._watched_until:
             self._sent = now
             self._child.pipe.send(Watch(self._watched_until))
 
@@ -139,7 +166,7 @@ class CameraHost:
             return
         self._child.pipe.close()
         self._child = ChildProcess(run_camera, self._setup, name=f"camera {self.name}")
-        self._reported, self._ended = self._clock.now(), ""
+        self._reported, self._ended, self._ordered = self._clock.now(), "", None
 
 
 class Cameras:
@@ -198,6 +225,11 @@ class Cameras:
     def pids(self) -> dict[str, int]:
         """Return the process ID of every camera that runs, by name."""
         return {f"camera {host.name}": host.pid for host in self if host.pid is not None}
+
+    def record(self, folder: Path | None) -> None:
+        """Record a video of every camera in the `folder` of a run's videos; None: end the videos."""
+        for host in self:
+            host.record(folder)
 
     def end_streams(self) -> None:
         """End the streams of pictures, because the station is ending."""

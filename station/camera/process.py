@@ -10,6 +10,7 @@ import signal
 from collections import deque
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from station.camera.config import CameraFile
@@ -19,7 +20,9 @@ from station.control.realtime import set_process_name
 from station.control.ring import Ring
 
 if TYPE_CHECKING:
+    from station.camera.rendering import Picture
     from station.camera.sources import Source
+    from station.camera.video import VideoWriter
 
 #: Longest wait for a frame before the messages are read again [s].
 GRAB_TIMEOUT_S = 0.05
@@ -54,6 +57,17 @@ class Watch(NamedTuple):
     until: float  #: by the station's clock [s]
 
 
+class StartVideo(NamedTuple):
+    """Message of the station process: record a video until `EndVideo`."""
+
+    folder: Path  #: folder of the run's videos
+    epoch: int  #: wall time at which the station's clock was 0 [ns since 1970]
+
+
+class EndVideo(NamedTuple):
+    """Message of the station process: finish the video, if one is recorded."""
+
+
 class CameraPicture(NamedTuple):
     """Message of the camera: a picture for the clients."""
 
@@ -70,6 +84,8 @@ class CameraReport(NamedTuple):
     frames: int  #: number of frames since the start
     surplus: int  #: number of frames that came too fast and were dropped
     newest: float | None  #: exposure of the newest frame by the station's clock [s]; None: no frame yet
+    video: int = 0  #: number of frames in the video of the present run, or of the last one
+    video_problem: str = ""  #: why the video ended before its run; empty otherwise
 
 
 CameraMessage = CameraPicture | CameraReport
@@ -105,14 +121,23 @@ class _Capture:
         self._arrivals: deque[float] = deque()
         self._frames = self._surplus = 0
         self._newest: float | None = None
+        self._start: StartVideo | None = None  # order whose video starts with the next frame
+        self._video: VideoWriter | None = None
+        self._recorded, self._video_problem = 0, ""
 
     def step(self) -> bool:
         """Process messages and at most one frame; return False if the station process ends this process."""
         while self._pipe.poll():
-            message: Watch | None = self._pipe.recv()
-            if message is None:
-                return False
-            self._watched_until = message.until
+            message: Watch | StartVideo | EndVideo | None = self._pipe.recv()
+            match message:
+                case None:
+                    return False
+                case Watch():
+                    self._watched_until = message.until
+                case StartVideo():
+                    self._start_video(message)
+                case EndVideo():
+                    self._end_video()
         if self._source is None:
             self._open()
         if self._source is not None:
@@ -121,10 +146,46 @@ class _Capture:
         return True
 
     def close(self) -> None:
-        """Release the camera."""
+        """Finish the video and release the camera."""
+        self._end_video()
+        self._release()
+
+    def _release(self) -> None:
         if self._source is not None:
             self._source.close()
             self._source = None
+
+    def _start_video(self, start: StartVideo) -> None:
+        """Start a video with the next frame, so that a camera without frames leaves no empty file."""
+        self._end_video()
+        self._recorded, self._video_problem = 0, ""
+        self._start = start
+
+    def _end_video(self) -> None:
+        from station.recording.run_outcome import RecordingError
+
+        video, self._video, self._start = self._video, None, None
+        if video is not None:
+            try:
+                video.close()
+            except RecordingError as error:
+                self._video_problem = self._video_problem or str(error)
+
+    def _record(self, picture: "Picture", exposed: float) -> None:
+        from station.camera.video import VideoWriter, next_video
+        from station.recording.run_outcome import RecordingError
+
+        start, self._start = self._start, None
+        try:
+            if start is not None:
+                setup = self._setup
+                self._video = VideoWriter(next_video(start.folder, setup.name), setup.name, setup.camera, start.epoch)
+            if self._video is not None:
+                self._video.write(picture, exposed)
+                self._recorded = self._video.frames
+        except RecordingError as error:
+            self._video_problem = str(error)
+            self._end_video()
 
     def _open(self) -> None:
         if self._clock.now() < self._retry:
@@ -139,7 +200,7 @@ class _Capture:
             self._lost(str(error))
 
     def _lost(self, problem: str) -> None:
-        self.close()
+        self._release()
         self._problem, self._retry = problem, self._clock.now() + RETRY_INTERVAL_S
 
     def _grab(self, source: "Source") -> None:
@@ -158,18 +219,25 @@ class _Capture:
             self._surplus += 1
             return
         self._newest = exposed
-        if exposed >= self._picture_due and self._clock.now() < self._watched_until:
+        viewed = exposed >= self._picture_due and self._clock.now() < self._watched_until
+        recorded = self._video is not None or self._start is not None
+        if not viewed and not recorded:
+            return
+        picture = source.retrieve()
+        if picture is None:
+            return
+        if recorded:
+            self._record(picture, exposed)
+        if viewed:
             self._picture_due = max(self._picture_due + 1.0 / PICTURES_PER_S, exposed)
-            self._send_picture(source, exposed)
+            self._send_picture(picture, exposed)
 
-    def _send_picture(self, source: "Source", exposed: float) -> None:
+    def _send_picture(self, picture: "Picture", exposed: float) -> None:
         import cv2
 
-        picture = source.retrieve()
-        if picture is not None:
-            good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-            if good:
-                self._pipe.send(CameraPicture(self._frames, exposed, jpeg.tobytes()))
+        good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if good:
+            self._pipe.send(CameraPicture(self._frames, exposed, jpeg.tobytes()))
 
     def _report(self) -> None:
         now = self._clock.now()
@@ -179,4 +247,8 @@ class _Capture:
         while self._arrivals and now - self._arrivals[0] > RATE_SPAN_S:
             self._arrivals.popleft()
         rate = len(self._arrivals) / RATE_SPAN_S
-        self._pipe.send(CameraReport(self._problem, rate, self._frames, self._surplus, self._newest))
+        self._pipe.send(
+            CameraReport(
+                self._problem, rate, self._frames, self._surplus, self._newest, self._recorded, self._video_problem
+            )
+        )

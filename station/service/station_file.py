@@ -51,6 +51,11 @@ class Rig:
     robot_name: str = "paper"  #: preset or file of the robot
     cameras: Mapping[str, CameraFile] = field(default_factory=dict[str, CameraFile])  #: cameras by name
 
+    @property
+    def video_bytes_per_s(self) -> float:
+        """Largest growth of the cameras' videos [bytes/s]."""
+        return sum(camera.video_bit_rate for camera in self.cameras.values()) / 8.0
+
     @cached_property
     def max_force(self) -> float:
         """Force on the tip at which a motion ends in HOLD, or at which the controller stops pushing [N]."""

@@ -82,7 +82,7 @@ class Supervisor:
         self.ring = Ring(ring_width(bench.robot))
         width = ring_width(bench.robot)
         self.cameras = Cameras(bench.cameras, bench.robot, self.ring, width, bench.clock, bench.seed)
-        self._runs = Runs(bench, self.ring, folder)
+        self._runs = Runs(bench, self.ring, folder, self.cameras)
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
         self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)
         self._processes = ProcessSupervisor(bench, self.ring, self._on_report, self._on_exit, self._runs.problem)

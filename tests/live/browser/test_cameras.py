@@ -115,3 +115,18 @@ def test_model_over_the_picture_can_be_switched_off_and_a_snapshot_saved(page: P
     page.locator(".camera", has_text="usb").get_by_role("button", name="Snapshot").click()
     page.locator(".note", has_text="no picture of camera usb").wait_for()
     open_tab(page, "start")
+
+
+def test_video_of_a_run_is_shown_in_the_history(page: Page, station: Served, picture: Picture) -> None:
+    run = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 3.0}).json()["run_id"]
+    station.wait_for(lambda status: status["state"] == "READY" and not status["run"]["recording"])
+    until(lambda: len(station.rest.get(f"/api/runs/{run}").json()["videos"]) == 2)
+    open_tab(page, "runs")
+    page.locator("#runs .card").first.click()
+    page.locator("summary", has_text="Video of camera side").click()
+    video = page.locator("video")
+    page.wait_for_function("(video) => video.readyState > 1 && video.videoWidth === 640", arg=video.element_handle())
+    video.scroll_into_view_if_needed()
+    picture(page, "video")
+    page.get_by_role("button", name="all runs").click()
+    open_tab(page, "start")
