@@ -6,6 +6,7 @@ A failed camera never ends a motion. It gives a warning in the status, and its p
 import contextlib
 import threading
 import time
+import traceback
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -132,6 +133,9 @@ class CameraHost:
                     self._take(self._child.pipe.recv())
                 self._check()
             except (EOFError, OSError):
+                self._replace()
+            except Exception:  # a camera must never end its supervision
+                traceback.print_exc()
                 self._replace()
 
     def _take(self, message: CameraMessage) -> None:

@@ -178,6 +178,8 @@ class _Capture:
         start, self._start = self._start, None
         try:
             if start is not None:
+                if not start.folder.parent.is_dir():
+                    return  # the run ended before the first frame
                 setup = self._setup
                 self._video = VideoWriter(next_video(start.folder, setup.name), setup.name, setup.camera, start.epoch)
             if self._video is not None:

@@ -55,6 +55,9 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
     if len(rows) == 0 or status.age > STALE_AFTER_S:
         return _none(camera, "the station has no current telemetry")
     of, row = supervisor.channels.of, rows[len(rows) // 2]
+    # A tracker's frame arrives late: of the rows around the exposure the one whose measurement is nearest to it counts.
+    times, measured = of(rows, "time")[:, 0], of(rows, "tip_time")[:, 0]
+    tip = of(rows, "tip_measured")[int(np.argmin(np.abs(measured - times[len(rows) // 2])))]
     stale = stale_groups(supervisor.channels, row)
     try:
         tubes = _tubes(supervisor, view, of(rows, "joints").mean(axis=0), of(rows, "force_filtered").mean(axis=0))
@@ -66,7 +69,7 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
         height=camera.height,
         reason="" if tubes else "the model has no shape at these joint positions",
         tubes=tubes,
-        tip_measured=None if "tip_measured" in stale else _pixel(view, of(row, "tip_measured")),
+        tip_measured=None if "tip_measured" in stale else _pixel(view, tip),
         tip_desired=_pixel(view, of(row, "tip_desired")) if follows else None,
     )
 

@@ -142,7 +142,8 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     @router.get(
         "/{run}/video",
         response_class=FileResponse,
-        responses=NOT_FOUND | {200: {"content": {"video/mp4": {}}, "description": "an MP4 file"}},
+        responses=NOT_FOUND
+        | {200: {"content": {"video/mp4": {}}, "description": "an MP4 file"}, 409: REFUSED_RESPONSES[409]},
         summary="Video of a camera",
     )
     async def video(
