@@ -33,6 +33,7 @@ from web.access.gate import Access, is_loopback
 from web.access.identity import Tokens, new_tokens
 from web.access.lease import Lease
 from web.api.calibration import calibration_routes
+from web.api.cameras import STREAM_MEDIA_TYPE, camera_routes
 from web.api.commands import commands, operator_routes, watch_operator, with_permits
 from web.api.control import control_routes
 from web.api.experiments import waypoint_routes
@@ -269,6 +270,7 @@ def build_app(
     if gateway is not None and gateway.options.igtl is not None:
         app.include_router(gateway_routes(targets, of))
     app.include_router(calibration_routes(calibration, of))
+    app.include_router(camera_routes(service, of))
     app.include_router(queue_routes(service, queue, of))
     app.include_router(runs_routes(RunHistory(runs), of))
     app.include_router(renamed_routes())
@@ -276,10 +278,10 @@ def build_app(
 
     app.add_api_route("/", page, include_in_schema=False)
     app.mount("/static", CheckedFiles(directory=STATIC))
-    # Recordings are compressed already.
+    # Recordings and pictures are compressed already.
     app.add_middleware(
         GZipMiddleware, minimum_size=MIN_COMPRESSED_BYTES, compresslevel=COMPRESSION_LEVEL,
-        exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, MCAP_MEDIA_TYPE),
+        exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, MCAP_MEDIA_TYPE, STREAM_MEDIA_TYPE),
     )  # fmt: skip
 
     answer_errors(app)

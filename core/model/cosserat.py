@@ -96,7 +96,7 @@ class ExactRod:
             for row, unknowns in zip(ends, (rod.unknowns + half, rod.unknowns - half), strict=True):
                 _integrate(
                     self.robot.layout, alpha, beta, to_plate(self.robot.layout, wrench), position, unknowns, self.step,
-                    np.empty(9 + 2 * (size - 2)), row,
+                    np.empty(9 + 2 * (size - 2)), row, np.empty((0, 7)),
                 )  # fmt: skip
             columns.append((ends[0] - ends[1]) / (2.0 * half[k]))
         return float(np.linalg.det(np.column_stack(columns)))
@@ -231,11 +231,58 @@ def present(layout: Layout, beta: Array, section: Indices, bend: Array, twist: A
 
 
 @compiled
+def put_point(path: Array, at: int, arc: float, y: Array) -> int:
+    """Write arc length, position and tangent of state `y` to row `at` of `path` (m, 7); return the next row.
+
+    A path without a free row is left unchanged.
+    """
+    if at >= path.shape[0]:
+        return at
+    w, a, b, c = y[0], y[1], y[2], y[3]
+    scale = 2.0 / (w * w + a * a + b * b + c * c)
+    path[at, 0] = arc
+    path[at, 1], path[at, 2], path[at, 3] = y[4], y[5], y[6]
+    path[at, 4], path[at, 5] = scale * (a * c + w * b), scale * (b * c - w * a)
+    path[at, 6] = 1.0 - scale * (a * a + b * b)
+    return at + 1
+
+
+def path_rows(robot: Robot, step: float) -> Array:
+    """Return NaN rows (m, 7) that suffice for the centre line of a robot with integration steps of `step` [m]."""
+    steps = sum(int(tube.length / step) + 1 for tube in robot.tubes)
+    return np.full((steps + robot.layout.ends.size + 2, 7), np.nan)
+
+
+def world_path(robot: Robot, path: Array) -> Array:
+    """Return the rows of a centre line in the plate's axes that are not NaN, in the world frame (k, 7)."""
+    rows = path[np.isfinite(path[:, 0])].copy()
+    base, rotation = np.array(robot.base.position), robot.base.rotation
+    rows[:, 1:4] = rows[:, 1:4] @ rotation.T + base
+    rows[:, 4:7] = rows[:, 4:7] @ rotation.T
+    return rows
+
+
+@compiled
+def trace(
+    layout: Layout, alpha: Array, beta: Array, world_wrench: Array, contact: float, unknowns: Array, step: float,
+    path: Array,
+) -> None:  # fmt: skip
+    """Write the centre line of solved `unknowns` to `path` (m, 7), in the plate's axes."""
+    q = layout.counts.shape[0]
+    wrench = to_plate(layout, world_wrench)
+    y, ends = np.empty(9 + 2 * q), np.empty(q + 2)
+    _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends, path)
+
+
+@compiled
 def _integrate(
     layout: Layout, alpha: Array, beta: Array, wrench: Array, contact: float, unknowns: Array, step: float,
-    y: Array, ends: Array,
+    y: Array, ends: Array, path: Array,
 ) -> None:  # fmt: skip
-    """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions."""
+    """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions.
+
+    `path` (m, 7) receives the centre line as `put_point` writes it; it may have no rows.
+    """
     force = wrench.copy()  # force beyond the current cross-section; only the first three elements are used
     q = layout.counts.shape[0]
     section, memory = np.zeros(q, np.int64), np.zeros((3, q))
@@ -245,6 +292,7 @@ def _integrate(
     stages = np.empty((5, y.size))
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start = 0.0
+    count = put_point(path, 0, 0.0, y)
     while True:
         end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
         if end_tube < 0:
@@ -254,7 +302,7 @@ def _integrate(
         steps = int(np.ceil((end - start) / step))
         h = (end - start) / max(steps, 1)
         softness = 1.0 / total
-        for _ in range(steps):
+        for number in range(steps):
             slope(y, k1, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 at[i] = y[i] + 0.5 * h * k1[i]
@@ -267,6 +315,7 @@ def _integrate(
             slope(at, k4, turn, bend, twist, ratio, curvature, softness, force)
             for i in range(y.size):
                 y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+            count = put_point(path, count, start + (number + 1) * h, y)
         start = end
         if end_tube >= 0:
             section[end_tube] += 1
@@ -301,8 +350,8 @@ def shoot(
     size = q + 2
     wrench = to_plate(layout, world_wrench)
     y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
-    unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
-    _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends)
+    unknowns, trial, inverse, nowhere = guess.copy(), guess.copy(), chord.copy(), np.empty((0, 7))
+    _integrate(layout, alpha, beta, wrench, contact, unknowns, step, y, ends, nowhere)
     residual = largest(ends)
     iterations = 1
     recompute = not inverse.any()
@@ -312,7 +361,7 @@ def shoot(
             for k in range(size):
                 copy(unknowns, trial)
                 trial[k] += 1e-6
-                _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
+                _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved, nowhere)
                 for i in range(size):
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-6
             if not 1e-30 <= abs(_determinant(matrix.copy())) < np.inf:
@@ -325,7 +374,7 @@ def shoot(
         while True:
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * correction[i]
-            _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved)
+            _integrate(layout, alpha, beta, wrench, contact, trial, step, y, moved, nowhere)
             iterations += 1
             after = largest(moved)
             if after < residual or (not recompute) or fraction < 1e-3:

@@ -11,9 +11,12 @@ if TYPE_CHECKING:
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add the command `export` to the parser."""
-    export = commands.add_parser("export", help="write a run's recordings as CSV, Parquet or MATLAB files")
+    export = commands.add_parser(
+        "export", help="write a run's recordings as CSV, Parquet or MATLAB files, or its videos as MP4"
+    )
     export.add_argument("run", metavar="RUN", help="folder of a run, its name in the data folder, or 'latest'")
-    export.add_argument("--format", choices=("csv", "parquet", "mat"), required=True)
+    export.add_argument("--format", choices=("csv", "parquet", "mat", "mp4"), required=True)
+    export.add_argument("--camera", default="", metavar="NAME", help="only this camera's video, with --format mp4")
     export.add_argument("--out", type=Path, metavar="FILE|DIR", help="destination of the files (the run's folder)")
     export.add_argument("--case", default="", metavar="NAME", help="only this case of the run")
     export.set_defaults(command=_export)
@@ -23,8 +26,17 @@ def _export(parsed: argparse.Namespace) -> int:
     from station.cli.options import progress_bar, recovered_data
     from station.recording.export import export_run
     from station.recording.history import resolve_run
+    from station.recording.run_outcome import RecordingError
 
     runs = recovered_data(parsed)
+    if parsed.format == "mp4":
+        try:
+            from station.camera.video import export_videos
+        except ImportError:
+            raise RecordingError("videos need the extra 'camera': pip install 'ctr-station[camera]'") from None
+        videos = export_videos(resolve_run(parsed.run, runs), parsed.out, parsed.camera)
+        sys.stdout.writelines(f"{file}\n" for file in videos)
+        return 0
     with progress_bar() as bar:
         tasks: dict[str, TaskID] = {}
 

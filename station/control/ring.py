@@ -32,8 +32,9 @@ HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin co
 WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION, DRIVEN = range(10)
 COUNTERS = 10
 #: Indices of the floating-point numbers. A heartbeat is the time at which a process last reported that it is alive, by
-#: the station's clock [s].
-LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
+#: the station's clock [s]. SHAPE_PORT is the UDP port at which the virtual lab gives the true shape to simulated
+#: cameras; 0 if it has no such port.
+LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT, SHAPE_PORT = range(8)
 NUMBERS = 8
 #: Number of cells of the lab's ground truth. The cells are: write count (odd during a write), tip, force, whether there
 #: is a target, position of the target, direction of the tip.

@@ -10,13 +10,14 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.errors import NoSolution, NotFinite
+from core.model.cosserat import path_rows, to_plate
 from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.config.loads import GRAVITY
 from station.config.robots import STANDARD_GRAVITY
 from station.devices.interfaces import GroundTruth
 from station.lab.config import PlantConfig
-from station.lab.frictional_rod import FrictionContact, settle, slots
-from station.lab.plant import Plant, PlantState, true_robot
+from station.lab.frictional_rod import FrictionContact, integrate, settle, slots
+from station.lab.plant import Plant, PlantState, TubeShape, true_robot
 
 #: Time between two random draws; the walk is interpolated linearly between them [s].
 KNOT_INTERVAL_S = 10.0
@@ -56,6 +57,7 @@ class FrictionalPlant:
         self._layout = true.packed.copy()
         self._curvatures, self._drawn = unpack(self._layout).curvatures, true.layout.curvatures
         self._step, self._size = config.step, (q, n, k)
+        self._contact = np.inf  # arc length at which the force acts [m]
         self._packed = np.zeros(_size(q, n, k))
         memory = self._memory = _unpack(self._packed, q, n, k)
         memory.play[:] = [config.play.get(joint.name, 0.0) for joint in robot.joints]
@@ -73,6 +75,13 @@ class FrictionalPlant:
         """Frame of the innermost tube at the tip (3, 3), world frame."""
         return self._memory.rotation.copy()
 
+    def shape(self) -> TubeShape:
+        """Return the true shape at the last tick."""
+        memory, (q, n, k) = self._memory, self._size
+        path = path_rows(self.robot, self._step)
+        beta = _trace(self._layout, self._packed, q, n, k, self._contact, self._step, path)
+        return TubeShape.of(self.robot, beta, path, memory.force, self._contact)
+
     def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
@@ -88,7 +97,7 @@ class FrictionalPlant:
             self._curvatures[:] = (1.0 + self._walk.at(now))[:, None, None] * self._drawn
         if not self._step_to(positions, force, contact) and not self._subdivide(positions, force, contact):
             raise NoSolution(f"the true robot has no shape at {positions.tolist()} [rad, m] under {force.tolist()} N")
-        memory = self._memory
+        memory, self._contact = self._memory, contact
         truth = GroundTruth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
         return PlantState(truth, memory.wrenches.copy())
 
@@ -231,6 +240,31 @@ def _advance(
     for i in range(q):
         _base_wrench(bases[i], memory.wrenches[i], alpha[i], beta[i], memory.tubes[i, 1], memory.gravity)
     return True
+
+
+@compiled
+def _trace(
+    robot: Array, packed: Array, q: int, n: int, k: int, contact: float, step: float, path: Array
+) -> Array:  # fmt: skip
+    """Write the centre line at the last tick to `path` (m, 7), in the plate's axes; return the proximal ends (q,) [m].
+
+    Without motion the friction keeps its values, so the integration repeats that of the last tick.
+    """
+    layout, memory = unpack(robot), _unpack(packed, q, n, k)
+    alpha, beta, _ = tube_poses(layout, memory.tubes_at)
+    rough = FrictionContact(
+        memory.numbers[0], memory.numbers[1], memory.numbers[2], memory.tubes[:, 0], memory.tubes[:, 1], memory.gravity
+    )
+    wrench = np.zeros(6)
+    copy(memory.force, wrench)
+    force = to_plate(layout, wrench)
+    friction, bases = np.zeros((slots(layout), 4)), np.zeros((q, 6))
+    y, ends = np.empty(9 + 2 * q), np.empty(q + 2)
+    integrate(
+        layout, rough, alpha, beta, force, contact, memory.unknowns[0], step, np.zeros(q), memory.friction, friction,
+        y, ends, bases, path,
+    )  # fmt: skip
+    return beta
 
 
 @compiled

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.model.cosserat import largest, present, slope, start_state, times, to_plate, to_world
+from core.model.cosserat import largest, present, put_point, slope, start_state, times, to_plate, to_world
 from core.robot.robot import Array, Layout
 
 
@@ -142,7 +142,7 @@ def _kink(y: Array, about_x: float, about_y: float, twist: Array, moments: Array
 def integrate(
     layout: Layout, rough: FrictionContact, alpha: Array, beta: Array, tip_force: Array, contact: float,
     unknowns: Array,
-    step: float, slid: Array, old: Array, new: Array, y: Array, ends: Array, bases: Array,
+    step: float, slid: Array, old: Array, new: Array, y: Array, ends: Array, bases: Array, path: Array,
 ) -> None:  # fmt: skip
     """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions.
 
@@ -161,6 +161,7 @@ def integrate(
         y: out (9 + 2 q,), the state at the tip, as in `cosserat`.
         ends: out (q + 2,), violations of the end conditions.
         bases: out (q, 6), load of each tube on its base: force [N], and moment about the plate's origin [N m].
+        path: out (m, 7), centre line as `cosserat.put_point` writes it; it may have no rows.
 
     """
     q, most_sections = layout.counts.shape[0], layout.ends.shape[1]
@@ -179,6 +180,7 @@ def integrate(
     stages = np.empty((5, y.size))
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start, first = 0.0, True
+    count = put_point(path, 0, 0.0, y)
     end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
     while end_tube >= 0:
         ending = end_tube
@@ -212,6 +214,7 @@ def integrate(
             slope(at, k4, turn, bend, twist, ratio, curvature, 1.0 / total, force)
             for i in range(y.size):
                 y[i] += h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+            count = put_point(path, count, start + (number + 1) * h, y)
         remaining -= (end - start) * heavy
         start = end
         if ending < 0:
@@ -362,9 +365,9 @@ def settle(
     copy(world_force, wrench)
     force = to_plate(layout, wrench)
     y, ends, moved, correction = np.empty(9 + 2 * q), np.empty(size), np.empty(size), np.empty(size)
-    change, along = np.empty(size), np.empty(size)
+    change, along, nowhere = np.empty(size), np.empty(size), np.empty((0, 7))
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
-    integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases)
+    integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases, nowhere)
     residual = largest(ends)
     exact, stale = False, not inverse.any()  # derivative: computed at this point; must be recomputed
     iterations = 0
@@ -375,7 +378,9 @@ def settle(
                 copy(unknowns, trial)
                 # The difference is so small that friction does not change its direction within it.
                 trial[k] += 1e-8
-                integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
+                integrate(
+                    layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases, nowhere
+                )
                 for i in range(size):
                     matrix[i, k] = (moved[i] - ends[i]) / 1e-8
             if not 1e-30 <= abs(np.linalg.det(matrix)) < np.inf:
@@ -390,7 +395,7 @@ def settle(
         while True:
             for i in range(size):
                 trial[i] = unknowns[i] - fraction * correction[i]
-            integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases)
+            integrate(layout, rough, alpha, beta, force, contact, trial, step, slid, old, new, y, moved, bases, nowhere)
             iterations += 1
             new_residual = largest(moved)
             if new_residual < residual or not exact or fraction < 0.02:

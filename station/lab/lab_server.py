@@ -23,6 +23,7 @@ from station.devices.config import BenchFile
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, Readable, TcpDeviceEnd, UdpDeviceEnd
+from station.lab.shape_server import ShapeServer
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.simulated_stages import STAGES
@@ -72,12 +73,14 @@ class LabServer:
         homed: bool = False,
         folder: Path | None = None,
         clock: StationClock = REAL_TIME_CLOCK,
+        *,
+        shape: bool = False,
     ) -> None:
         """Create the endpoints, and the bench with the joints at `positions` (n,).
 
         `pty`: terminals instead of TCP. `netft_port`: UDP port of the first box, the others follow; 0: any.
         `homed`: the stages are homed. `folder`: for symbolic links to the terminals, which stay valid when a terminal
-        changes. `clock`: time of the devices.
+        changes. `clock`: time of the devices. `shape`: give the true shape to simulated cameras.
 
         Raises:
             AddressInUse: another program has a given port.
@@ -101,7 +104,10 @@ class LabServer:
             for box in self.lab.boxes:
                 self._pages.append(PageServer(HOST, 0, box.page, self.readable))
                 opened.callback(self._pages[-1].close)
-            self._ends = (*self._lines, *boxes, *self._pages)
+            self.shape = ShapeServer(self.readable) if shape else None
+            if self.shape is not None:
+                opened.callback(self.shape.close)
+            self._ends = (*self._lines, *boxes, *self._pages, *(() if self.shape is None else (self.shape,)))
             self._opened = opened.pop_all()
         self.clock = clock
         self.start_time = clock.now()  #: time of the clock at the lab's time 0 [s]
@@ -149,6 +155,8 @@ class LabServer:
             if self.lab.trouble and not trouble:
                 sys.stderr.write(f"the robot stays where it is: {' '.join(self.lab.trouble.split())}\n")
             trouble = self.lab.trouble
+            if self.shape is not None:
+                self.shape.poll(self.lab.shape, start + now)
             if now >= due:
                 for page in self._pages:
                     page.poll()

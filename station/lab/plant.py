@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.model.cosserat import ExactRod, Rod, shoot
+from core.model.cosserat import ExactRod, Rod, path_rows, shoot, trace, world_path
 from core.model.solution import pure_force
 from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import GroundTruth
@@ -23,6 +23,23 @@ class PlantState(NamedTuple):
 
     truth: GroundTruth
     wrenches: Array  #: (q, 6) wrench that each tube exerts on its base sensor, in the sensor's axes [N, N m]
+
+
+class TubeShape(NamedTuple):
+    """True shape of the tubes, as a camera sees it; only simulated cameras may receive it."""
+
+    line: (
+        Array  #: (k, 7) centre line from the plate to the tip: arc length [m], position [m], unit tangent; world frame
+    )
+    ends: Array  #: (q,) arc length of each tube's distal end from the plate [m], innermost tube first
+    force: Array  #: (3,) force on the tubes, world frame [N]
+    contact: float  #: arc length at which the force acts [m]; inf: the tip
+
+    @classmethod
+    def of(cls, robot: Robot, beta: Array, path: Array, force: Array, contact: float) -> "TubeShape":
+        """Return the shape of a robot whose proximal ends are at `beta` (q,) [m]; `path` is in the plate's axes."""
+        ends = beta + np.array([tube.length for tube in robot.tubes])
+        return cls(world_path(robot, path), ends, force.copy(), contact)
 
 
 def true_robot(robot: Robot, config: PlantConfig, rng: np.random.Generator) -> Robot:
@@ -62,7 +79,17 @@ class Plant:
         memory.stiffness[:] = [tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes]
         memory.tubes_at[:] = positions
         memory.poses[:] = self.robot.tube_poses(positions)
+        self._load: tuple[Array, float] = np.zeros(3), np.inf  # force and contact at the last tick
         self._store(self._exact.solve(positions, np.zeros(6)))
+
+    def shape(self) -> TubeShape:
+        """Return the true shape at the last tick."""
+        alpha, beta = self.robot.tube_poses(self._memory.tubes_at)
+        path = path_rows(self.robot, self._exact.step)
+        force, contact = self._load
+        unknowns = self._memory.unknowns[0]
+        trace(self.robot.layout, alpha, beta, pure_force(force), contact, unknowns, self._exact.step, path)
+        return TubeShape.of(self.robot, beta, path, force, contact)
 
     @property
     def rotation(self) -> Array:
@@ -82,6 +109,7 @@ class Plant:
             NotFinite, NoSolution: the plant (simulated real robot) has no equilibrium shape there; it keeps the last.
         """
         exact, packed = self._exact, self._packed
+        self._load = force, contact
         if not _advance(self.robot.packed, packed, positions, force, contact, exact.step, exact.tolerance):
             wrench = pure_force(force)
             self._store(exact.solve_tubes(*self.robot.tube_poses(self._memory.tubes_at), wrench, None, contact))

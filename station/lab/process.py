@@ -21,7 +21,7 @@ from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import set_process_name
-from station.control.ring import LAB_HEARTBEAT, Ring
+from station.control.ring import LAB_HEARTBEAT, SHAPE_PORT, Ring
 from station.devices.config import BenchFile
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
@@ -55,6 +55,7 @@ class LabBench(NamedTuple):
     fifo: bool = True  #: whether to request real-time scheduling
     terminals: Path | None = None  #: folder for the links to pseudo-terminals; None: serial lines by TCP
     clock: StationClock = REAL_TIME_CLOCK
+    shape: bool = False  #: whether to give the true shape to simulated cameras
 
 
 def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, parent: int) -> None:
@@ -73,12 +74,16 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
         # computer the control loop would wait for its locks for milliseconds.
         pty, park = bench.terminals is not None, np.array(bench.park)
         lab = LabServer(
-            bench.robot, bench.config, bench.seed, park, pty, homed=True, folder=bench.terminals, clock=bench.clock
-        )
+            bench.robot, bench.config, bench.seed, park, pty,
+            homed=True, folder=bench.terminals, clock=bench.clock, shape=bench.shape,
+        )  # fmt: skip
     except CtrError as error:
         pipe.send(str(error))
         return
     lab.lab.advance(bench.clock.now() - lab.start_time)  # loads and compiles code before clients wait for the lab
+    if lab.shape is not None:
+        lab.lab.shape()
+        ring.numbers[SHAPE_PORT] = lab.shape.port
     be_punctual(bench.fifo)
     with lab:
         pipe.send(lab.endpoints)

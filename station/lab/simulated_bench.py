@@ -21,6 +21,7 @@ from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig, TargetConfig
 from station.lab.faults import FaultScript, LabFault
 from station.lab.frictional_plant import true_plant
+from station.lab.plant import TubeShape
 from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from station.lab.simulated_stages import STAGES
@@ -159,6 +160,10 @@ class SimulatedBench:
     def true_joints(self, positions: Array) -> Array:
         """Return the true joints (n,) when the stages count `positions` (n,), without play."""
         return self.hidden.joints(positions)
+
+    def shape(self) -> TubeShape:
+        """Return the true shape at the last tick, for simulated cameras."""
+        return self._plant.shape()
 
     def apply_load(self, load: Load, start: float) -> None:
         """Apply a load to the tip; its time counts from `start` [s]."""

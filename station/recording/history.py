@@ -12,7 +12,7 @@ from typing import Any
 
 from station.config.strict import Strict
 from station.recording.read import open_case
-from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, write_json
+from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, video_files, write_json
 from station.recording.run_outcome import CaseOutcome, RecordingError, case_outcomes
 from station.recording.writer import PARTIAL_SUFFIX
 
@@ -68,6 +68,8 @@ class RunDetails(RunEntry):
     """Entry of a run with its whole summary: errors, counts and timing, if the run has them."""
 
     summary: Mapping[str, Any]
+    videos: tuple[str, ...] = ()
+    """names of the cameras' videos"""
 
 
 class RunSettings(Strict):
@@ -287,7 +289,8 @@ def _run_entry(folder: Path) -> RunDetails | None:
         if not isinstance(started, int | float) or abs(started) >= MAX_START_TIME:
             started = folder.stat().st_mtime
         cases = tuple(path.stem for path in _recordings(folder))
-        size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+        videos = video_files(folder)
+        size = sum(path.stat().st_size for path in (*folder.iterdir(), *videos) if path.is_file())
     except OSError:
         return None
     return RunDetails(
@@ -304,6 +307,7 @@ def _run_entry(folder: Path) -> RunDetails | None:
         tags=tuple(map(str, tags)) if isinstance(tags, list) else (),
         outcomes=case_outcomes(summary),
         summary=summary,
+        videos=tuple(path.stem for path in videos),
     )
 
 

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 
 from station.recording.metadata import RUN_RECORD, is_later, texts, values_of
 from station.recording.read import open_case
-from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, lock_folder, write_json
+from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, VIDEOS_FOLDER, lock_folder, write_json
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
@@ -58,7 +58,19 @@ def recover(runs: Path) -> list[Path]:
             raise RecordingError(f"{folder}: cannot be recovered: {error.strerror}") from None
         if done is not None:
             recovered.append(done)
+    _recover_videos(runs)
     return recovered
+
+
+def _recover_videos(runs: Path) -> None:
+    """Finish the videos of cameras that were killed, also those of complete runs."""
+    for left in sorted(runs.glob(f"*/{VIDEOS_FOLDER}/*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}")):
+        try:
+            recover_file(left)
+        except BlockingIOError:
+            continue  # a camera is writing this video
+        except OSError as error:
+            raise RecordingError(f"{left}: cannot be recovered: {error.strerror}") from None
 
 
 def unrecoverable(runs: Path) -> list[str]:

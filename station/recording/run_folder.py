@@ -19,6 +19,9 @@ from station.recording.writer import PARTIAL_SUFFIX
 SUMMARY_FILE = "summary.json"
 EXPERIMENT_FILE = "experiment.toml"
 RECORDING_SUFFIX = ".mcap"
+#: Folder in the run's folder with the videos of the cameras, `NAME.mcap`; it is separate, because every file
+#: `*.mcap` in the run's folder is a case.
+VIDEOS_FOLDER = "cameras"
 #: File name of the only recording of a live run; the metadata have the name of the experiment's case.
 LIVE_CASE = "run"
 #: Largest growth of a recording [bytes/s]: 500 rows of about 180 numbers that cannot be compressed, and 10 drawings.
@@ -141,14 +144,25 @@ def write_atomically(text: str, path: Path) -> Path:
     return whole.replace(path)
 
 
-def free_space_problem(folder: Path, duration: float) -> str:
-    """Return why a recording of `duration` [s] does not fit into `folder`, with what to do; empty if it fits."""
+def video_files(folder: Path) -> list[Path]:
+    """Return the finished videos of a run, sorted by name."""
+    return sorted((folder / VIDEOS_FOLDER).glob(f"*{RECORDING_SUFFIX}"))
+
+
+def free_space_problem(folder: Path, duration: float, videos: float = 0.0) -> str:
+    """Return why a recording does not fit into `folder`, with what to do; empty if it fits.
+
+    Args:
+        folder: folder of the runs.
+        duration: duration of the recording [s].
+        videos: largest growth of the cameras' videos [bytes/s].
+    """
     existing = folder.absolute()
     while not existing.exists():
         existing = existing.parent
     if not os.access(existing, os.W_OK):
         return f"{folder}: recordings cannot be written; choose another folder or change its permissions"
-    free, needed = shutil.disk_usage(existing).free, RECORDING_BYTES_PER_S * duration + FREE_SPACE_BYTES
+    free, needed = shutil.disk_usage(existing).free, (RECORDING_BYTES_PER_S + videos) * duration + FREE_SPACE_BYTES
     if free >= needed:
         return ""
     return (

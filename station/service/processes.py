@@ -45,7 +45,8 @@ class Backend:
             return
         if self._host is not None:
             self._host.close()
-        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock)
+        shape = any(camera.simulated for camera in bench.cameras.values())
+        lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock, shape)
         # Other threads use the old host until the new one is assigned.
         self._host, self._devices = LabHost(lab, self._ring.name, ring_width(bench.robot)), None
 

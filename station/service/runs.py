@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from station.camera.host import Cameras
 from station.config.loads import Load, NoLoad
 from station.config.robots import RobotFile
 from station.control.child_process import is_alive
@@ -27,8 +28,9 @@ from station.recording.foxglove import ERROR, INFO, MARK, RecordedEvent
 from station.recording.history import RunError, RunHistory
 from station.recording.recorder import START_TIMEOUT_S, Recorder
 from station.recording.recover import recover, unrecoverable
-from station.recording.run_folder import free_space_problem
+from station.recording.run_folder import VIDEOS_FOLDER, free_space_problem
 from station.recording.run_outcome import RecordingError, RunOutcome
+from station.recording.writer import PARTIAL_SUFFIX
 from station.service.station_file import Rig
 
 _NO_LOAD = NoLoad()
@@ -64,8 +66,9 @@ RECORDER_TIMEOUT_S = 3.0
 class LiveRecording:
     """Owner of one recorder; its methods are thread-safe. Interrupted runs of a killed station are recovered first."""
 
-    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock) -> None:
+    def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock, videos: float = 0.0) -> None:
         self.runs = runs
+        self._videos = videos  # largest growth of the cameras' videos [bytes/s]
         self.recovered = recover(runs)  #: folders of recovered runs
         self.not_recoverable = unrecoverable(runs)  #: sentences about runs that cannot be recovered or removed
         try:
@@ -96,7 +99,7 @@ class LiveRecording:
         Raises:
             RecordingError: the disk is full, or the recorder cannot start by `until` on the station's clock [s].
         """
-        problem = self._stall() or free_space_problem(self.runs, duration)
+        problem = self._stall() or free_space_problem(self.runs, duration, self._videos)
         if problem:
             raise RecordingError(problem)
         self._problem, self._lost = "", ""
@@ -195,8 +198,9 @@ class LiveRecording:
 class Runs:
     """Register of runs and owner of their recording; its methods are thread-safe."""
 
-    def __init__(self, bench: Rig, ring: Ring, folder: Path | None) -> None:
-        """Prepare runs that are recorded in `folder`, if given; `open` starts the recorder."""
+    def __init__(self, bench: Rig, ring: Ring, folder: Path | None, cameras: Cameras | None = None) -> None:
+        """Prepare runs that are recorded in `folder` with the `cameras`, if given; `open` starts the recorder."""
+        self._cameras = cameras
         self._bench, self._ring, self._folder = bench, ring, folder
         self.session = f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
         self._numbers = itertools.count(1)
@@ -209,7 +213,9 @@ class Runs:
     def open(self) -> None:
         """Start the recorder's process, if there is a folder."""
         if self._folder is not None:
-            self.recorder = LiveRecording(self._ring, self._bench.robot, self._folder, self._bench.clock)
+            self.recorder = LiveRecording(
+                self._ring, self._bench.robot, self._folder, self._bench.clock, self._bench.video_bytes_per_s
+            )
 
     def renew(self) -> bool:
         """Replace a recorder that has died or hangs; return whether it was replaced."""
@@ -218,7 +224,7 @@ class Runs:
             if old is None or old.healthy:
                 return False
             old.kill()
-            self._recorded = None
+            self._end_recording()
             self.open()
             old.close()
             return True
@@ -246,6 +252,8 @@ class Runs:
             about = {**known, **start.about}
             name = self.recorder.begin(run.id, start.task.duration, start.counted_from, about, until)
             self._recorded = run = replace(run, id=name)
+            if self._cameras is not None:
+                self._cameras.record(self.recorder.runs / (name + PARTIAL_SUFFIX) / VIDEOS_FOLDER)
         with self._lock:
             self._prepared = run  # the run's first state notice may arrive before the answer to its start
         return run
@@ -303,7 +311,7 @@ class Runs:
     def interrupted(self, cause: str) -> None:
         """End the recording of a run whose control process has died."""
         if self.recorder is not None and self._recorded is not None:
-            self._recorded = None
+            self._end_recording()
             self.recorder.interrupted(cause)
 
     def problem(self) -> str:
@@ -317,7 +325,7 @@ class Runs:
             return self.recorder.lost()
         if not (problem := self.recorder.problem()):
             return ""
-        self._recorded = None
+        self._end_recording()
         return f"the recording has ended: {problem}"
 
     def close(self) -> None:
@@ -330,7 +338,12 @@ class Runs:
     def _finish(self, state: State, cause: str) -> None:
         if self.recorder is not None:
             self.recorder.end(state, cause)
+        self._end_recording()
+
+    def _end_recording(self) -> None:
         self._recorded = None
+        if self._cameras is not None:
+            self._cameras.record(None)
 
     def _time(self) -> float:
         """Return the time of the newest telemetry [s]."""

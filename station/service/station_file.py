@@ -14,6 +14,7 @@ from core.control.step import Controller
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
+from station.camera.config import CameraFile, CamerasFile, check_cameras
 from station.config.controllers import ControllerFile, Present, default_controller
 from station.config.robots import RobotFile, load_robot, named_pose
 from station.config.strict import ConfigError, Format, Strict, check, line_reference, read_toml, use_experiments
@@ -48,6 +49,12 @@ class Rig:
     clock: StationClock = REAL_TIME_CLOCK  #: clock of every process of this station
     lab_name: str = "gentle"  #: preset or file of the lab; empty with real devices
     robot_name: str = "paper"  #: preset or file of the robot
+    cameras: Mapping[str, CameraFile] = field(default_factory=dict[str, CameraFile])  #: cameras by name
+
+    @property
+    def video_bytes_per_s(self) -> float:
+        """Largest growth of the cameras' videos [bytes/s]."""
+        return sum(camera.video_bit_rate for camera in self.cameras.values()) / 8.0
 
     @cached_property
     def max_force(self) -> float:
@@ -207,6 +214,8 @@ class StationFile(Strict):
     """custom experiments"""
     clock: ClockFile = ClockFile()
     """rate of the station's clock"""
+    cameras: CamerasFile = Field(default_factory=dict)
+    """cameras that look at the robot; they need the extra `camera`"""
 
     @model_validator(mode="before")
     @classmethod
@@ -250,6 +259,7 @@ class StationFile(Strict):
                     unstoppable = UNSTOPPABLE.format(driver=devices.stages["driver"])
             snaps = check_design(assumed, self.margins)
             clock = self.clock.for_devices(self.devices)
+            check_cameras(self.cameras, virtual=devices is None)
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{line_reference(self._table, str(error))}") from None
         return Rig(
@@ -267,6 +277,7 @@ class StationFile(Strict):
             clock=clock,
             lab_name=str(self.lab) if devices is None else "",
             robot_name=self.robot,
+            cameras=self.cameras,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
 

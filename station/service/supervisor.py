@@ -15,6 +15,7 @@ from typing import Any, Generic, Literal, TypeVar
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
+from station.camera.host import Cameras
 from station.config.loads import Load
 from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
@@ -79,7 +80,9 @@ class Supervisor:
         self.channels = Channels(self.robot)
         self.statics = Statics(self.robot)
         self.ring = Ring(ring_width(bench.robot))
-        self._runs = Runs(bench, self.ring, folder)
+        width = ring_width(bench.robot)
+        self.cameras = Cameras(bench.cameras, bench.robot, self.ring, width, bench.clock, bench.seed)
+        self._runs = Runs(bench, self.ring, folder, self.cameras)
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
         self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)
         self._processes = ProcessSupervisor(bench, self.ring, self._on_report, self._on_exit, self._runs.problem)
@@ -97,7 +100,9 @@ class Supervisor:
                 self._flight_recorder.note("recovered", f"run {folder.name}, which had been interrupted")
             for sentence in recorder.not_recoverable:
                 self._flight_recorder.note("not recovered", sentence)
+        self.cameras.open()
         self._processes.open()
+        self.cameras.start()
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
         """Wait until telemetry is beyond row `since`, or until the stages wait to be homed.
@@ -133,7 +138,7 @@ class Supervisor:
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
         recorder = self._runs.recorder
-        return self._processes.pids() | ({} if recorder is None else {"recorder": recorder.pid})
+        return self._processes.pids() | self.cameras.pids() | ({} if recorder is None else {"recorder": recorder.pid})
 
     def entered(self, state: State) -> int:
         """Return how often the station has entered a state."""
@@ -318,11 +323,13 @@ class Supervisor:
         Returns:
             Outcome of stopping the stages.
         """
+        self.cameras.end_streams()
         return self._processes.end_control()
 
     def close(self) -> None:
         """Stop every axis, end the control process and the lab, and remove the shared memory."""
         self._processes.close()
+        self.cameras.close()
         self._runs.close()
         self._flight_recorder.close()
         self.ring.close(remove=True)

@@ -1,9 +1,10 @@
 """Measure the punctuality of the control loop while browsers or gateway clients use the station.
 
-    python -m tests.tools.loop_beside [nothing] [page] [gateway] [--seconds S] [--times N] [--config FILE]
+    python -m tests.tools.loop_beside [nothing] [page] [gateway] [cameras] [--seconds S] [--times N] [--config FILE]
 
 `ctr-station bench loop` runs only the control process, the lab and the recorder. Here the web server shares their
-processors; `page` adds a Chromium that draws the page, and `gateway` adds all four protocols with two clients each.
+processors; `page` adds a Chromium that draws the page, `gateway` adds all four protocols with two clients each, and
+`cameras` adds two simulated cameras (640 x 480, 30 frames/s), which the run records and whose pictures a client views.
 Separate stations take turns, each with one recorded motion under load. The output has the loop's timing, the time that
 the hypervisor has taken from this computer, and the ratio of the medians to those of the first named setup. A station
 file with `fifo = false` measures without real-time scheduling.
@@ -22,6 +23,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+import httpx
+import psutil
 import pylsl
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -39,6 +42,12 @@ MOTION = {
 }
 #: Time for the clients to connect, and time from the start of the run until the robot moves [s].
 BEGUN, MOVING = 10.0, 5.0
+#: Tables of two simulated cameras at right angles.
+CAMERAS = """
+[cameras.side]
+[cameras.top]
+pose = { position = [-0.4, 0.0, 0.13], rotation_vector = [2.221441469079183, 0.0, 2.221441469079183] }
+"""
 #: Number of clients of each protocol.
 CLIENTS = 2
 
@@ -75,6 +84,27 @@ def nothing(_: Served, __: dict[str, int]) -> Iterator[None]:
     yield
 
 
+@contextmanager
+def cameras(station: Served, _: dict[str, int]) -> Iterator[None]:
+    """Keep a client connected that receives the pictures of both cameras."""
+    context = get_context("spawn")
+    viewers = [context.Process(target=viewer, args=(station.url, name), daemon=True) for name in ("side", "top")]
+    for each in viewers:
+        each.start()
+    yield
+    assert all(each.is_alive() for each in viewers)
+    for each in viewers:
+        each.kill()
+        each.join()
+
+
+def viewer(url: str, name: str) -> None:
+    """Run a client that receives all pictures of a camera."""
+    with httpx.stream("GET", f"{url}/api/cameras/{name}/stream", timeout=60.0) as answer:
+        for _ in answer.iter_raw():
+            pass
+
+
 def igtl(port: int) -> None:
     """Run an OpenIGTLink client that reads all messages."""
     with socket.create_connection(("127.0.0.1", port)) as client:
@@ -107,7 +137,14 @@ def lsl(_: int) -> None:
         inlet.pull_chunk(timeout=1.0)
 
 
-BESIDE: dict[str, Callable[[Served, dict[str, int]], Any]] = {"nothing": nothing, "page": page, "gateway": gateway}
+BESIDE: dict[str, Callable[[Served, dict[str, int]], Any]] = {
+    "nothing": nothing,
+    "page": page,
+    "gateway": gateway,
+    "cameras": cameras,
+}
+#: Tables of the station file for a setup.
+TABLES = {"cameras": CAMERAS}
 
 
 def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
@@ -116,7 +153,9 @@ def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
     options = [word for protocol, port in ports.items() for word in (f"--{protocol}", str(port))]
     with ExitStack() as owned:
         probe = owned.enter_context(TimerProbe(max(os.sched_getaffinity(0))))
-        station = owned.enter_context(serving(*options, *(["--lsl"] if ports else []), settings=settings, rate=None))
+        station = owned.enter_context(
+            serving(*options, *(["--lsl"] if ports else []), settings=settings + TABLES.get(name, ""), rate=None)
+        )
         station.ready()
         ring = owned.enter_context(TelemetryOf(station.url, station.process.pid).ring(load_robot("paper")))
         owned.enter_context(BESIDE[name](station, ports))
@@ -126,16 +165,24 @@ def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
         time.sleep(MOVING)
         ring.clear_timing()
         probe.clear()
-        before = stolen_seconds()
+        before, used = stolen_seconds(), used_seconds(station)
         time.sleep(seconds)
+        later = used_seconds(station)
         status = station.status()
         result = {
             **figures(ring, seconds, stolen_seconds() - before),
             "computer": probe.figures(),
+            "processors": {name: round((later[name] - used[name]) / seconds, 3) for name in used if name in later},
             "state": f"{status['state']} {status['cause']}".strip(),  # the cause, if the run ended in HOLD
         }
         station.post("/api/stop")
     return result
+
+
+def used_seconds(station: Served) -> dict[str, float]:
+    """Return the processor time of the station's processes [s], by name and pid."""
+    main = psutil.Process(station.process.pid)
+    return {f"{one.name()} {one.pid}": sum(one.cpu_times()[:2]) for one in (main, *main.children())}
 
 
 def _over(figure: dict[str, float], other: dict[str, float]) -> dict[str, float]:

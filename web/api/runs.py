@@ -26,6 +26,7 @@ from station.recording.history import (
     RunHistory,
     RunSettings,
 )
+from station.recording.run_folder import VIDEOS_FOLDER
 from station.recording.run_outcome import RecordingError
 from station.report.curves import Curve, read_curves
 from web.api.commands import Commands, cancel_on_disconnect
@@ -137,6 +138,33 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     ) -> FileResponse:
         path = await _found(history.recording, run, case)
         return FileResponse(path, media_type=MCAP_MEDIA_TYPE, filename=f"{path.parent.name}-{path.name}")
+
+    @router.get(
+        "/{run}/video",
+        response_class=FileResponse,
+        responses=NOT_FOUND
+        | {200: {"content": {"video/mp4": {}}, "description": "an MP4 file"}, 409: REFUSED_RESPONSES[409]},
+        summary="Video of a camera",
+    )
+    async def video(
+        request: Request, run: str, camera: Annotated[str, Query(description="may be omitted: the first camera")] = ""
+    ) -> FileResponse:
+        details: RunDetails = await _found(history.run, run)
+        name = camera or next(iter(details.videos), "")
+        if name not in details.videos:
+            names = ", ".join(details.videos) or "none"
+            raise HTTPException(404, f"run '{details.id}' has no video '{camera}'; its videos are: {names}")
+        folder: Path = await _found(history.find, details.id)
+        path = folder / VIDEOS_FOLDER / f"{name}.mp4"
+
+        async def write() -> None:
+            async with rendering:
+                if not path.is_file():
+                    options = ("--format", "mp4", "--camera", name, "--out", str(path.parent.absolute()))
+                    await _command("export", folder, *options)
+
+        await cancel_on_disconnect(request, write())
+        return FileResponse(path, filename=f"{folder.name}-{name}.mp4", media_type="video/mp4")
 
     @router.get(
         "/{run}/report",

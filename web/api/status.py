@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from station.camera.host import Cameras
 from station.client import FORMAT
 from station.config.loads import Load, NoLoad
 from station.control.loop import Phase
@@ -170,7 +171,7 @@ def status_out(
         model=supervisor.bench.model_note,
         max_force=supervisor.bench.max_force,
         run=run,
-        devices=_devices(status) | _gateway(gateway_problem),
+        devices=_devices(status) | _gateway(gateway_problem) | _cameras(supervisor.cameras),
         loop=LoopOut(**status.timing._asdict()),
         joints=dict(zip(names, status.values["joints"].tolist(), strict=True)) if status.values else {},
         tip_measured=vector("tip_measured"),
@@ -226,6 +227,16 @@ def _devices(status: StationStatus) -> dict[str, DeviceOut]:
         )
         for device in status.devices
     }
+
+
+def _cameras(cameras: Cameras) -> dict[str, DeviceOut]:
+    """Return the indicator of each camera; a failed camera is only a warning."""
+    found: dict[str, DeviceOut] = {}
+    for host in cameras:
+        problem = host.status().problem
+        severity, condition = (Severity.WARN, Condition.FAULT) if problem else (0, Condition.CONNECTED)
+        found[f"camera {host.name}"] = DeviceOut(severity=severity, condition=condition, text=problem)
+    return found
 
 
 def _gateway(problem: str | None) -> dict[str, DeviceOut]:

@@ -8,6 +8,6 @@ import { lastTab, openTab } from "./page/tabs.js";
 
 openTab(lastTab());
 start();
-for (const path of ["page/strip", "run/run", "jog/jog", "jog/hands", "devices/devices", "plots/plots", "runs/runs", "calibrate/calibrate", "faults/faults", "guide/notify", "guide/help", "guide/palette", "guide/welcome"]) {
+for (const path of ["page/strip", "run/run", "jog/jog", "jog/hands", "devices/devices", "plots/plots", "runs/runs", "calibrate/calibrate", "cameras/cameras", "faults/faults", "guide/notify", "guide/help", "guide/palette", "guide/welcome"]) {
   import(`./${path}.js`).catch((error) => note(`'${path.split("/")[1]}' could not be loaded (${error.message}); reload the page`));
 }

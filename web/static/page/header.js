@@ -127,9 +127,18 @@ function showRun(status) {
   if (on) $("run-progress").value = run.progress;
 }
 
+/** Merge all cameras into one light, which shows the worst of them, because the header of a phone is narrow. */
+function mergedCameras(devices) {
+  const entries = Object.entries(devices), cameras = entries.filter(([key]) => key.startsWith("camera "));
+  if (cameras.length < 2) return entries;
+  const problems = cameras.filter(([, camera]) => camera.text !== "").map(([key, camera]) => `${key}: ${camera.text}`);
+  const worst = cameras.map(([, camera]) => camera).sort((a, b) => b.severity - a.severity)[0];
+  return [...entries.filter(([key]) => !key.startsWith("camera ")), ["cameras", { ...worst, text: problems.join("; ") }]];
+}
+
 function showLights(devices) {
   const silent = isSilent();
-  replaceChanged($("lights"), [devices, silent], () => Object.entries(devices).map(([key, device]) => {
+  replaceChanged($("lights"), [devices, silent], () => mergedCameras(devices).map(([key, device]) => {
     const severity = silent ? -1 : device.condition === "connected" ? device.severity : Math.max(device.severity, 1);
     const text = silent ? "no current data" : device.text || (severity === 0 ? "connected, nothing is wrong" : device.condition);
     const dot = make("i", { className: "light", "data-severity": severity });

@@ -35,7 +35,7 @@ function choose(panel) {
   }
 }
 
-const siblings = (tab) => [...tab.closest("[role=tablist]").querySelectorAll("[role=tab]")];
+const siblings = (tab) => [...tab.closest("[role=tablist]").querySelectorAll("[role=tab]:not([hidden])")];
 
 for (const tab of tabs) {
   tab.addEventListener("click", () => openTab(tab.getAttribute("aria-controls")));

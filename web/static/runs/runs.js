@@ -174,7 +174,7 @@ async function details(id) {
     make("p", { className: "small dim" }, `${when(run.started)} · ${size(run.size)} · `, make("span", { style: "white-space:nowrap" }, id)),
     make("div", { className: "acts" }, button("Replay", () => page(id, "replay"), { className: "main" }), button("Report", () => page(id, "report")),
       run.cases.length === 1 ? button("Run again", async () => (await import("../run/run.js")).runAgain(id), { title: "Start a run with the same settings" }) : null, star),
-    ...downloads(run),
+    ...downloads(run), ...run.videos.map((camera) => video(run, camera)),
     make("h3", {}, "Notes"), make("div", { className: "rows" }, make("label", {}, "title"), make("div", { className: "wide" }, title), make("label", {}, "tags"), make("div", { className: "wide" }, tags)), notes,
     make("div", { className: "acts" }, save, removal, unsaved.element),
     folded("All numbers", () => flat(summary).map(([key, value]) => make("tr", {}, make("td", { className: "any" }, key), make("td", { className: "any", style: "text-align:right" }, readable(value)))), "numbers"),
@@ -188,6 +188,17 @@ const FORMATS = { csv: "CSV", parquet: "Parquet", mat: "MATLAB" };
 const downloads = (run) => run.cases.map((one) => make("p", { className: "small" }, run.cases.length > 1 ? `${one.replaceAll("_", " ")}: ` : "Download (SI units): ",
   make("a", { href: `${address(run.id, "recording")}?case=${encodeURIComponent(one)}`, download: "" }, `${one}.mcap`),
   ...Object.entries(FORMATS).flatMap(([format, name]) => [" · ", make("a", { href: `${address(run.id, "export")}?format=${format}&case=${encodeURIComponent(one)}`, download: "", onclick: () => note(`The station writes the ${name} file. The download starts when the file is complete.`, true) }, name)])));
+
+/** Return a folded video of a camera; it is requested when it is unfolded. */
+function video(run, camera) {
+  const source = `${address(run.id, "video")}?camera=${encodeURIComponent(camera)}`;
+  const folding = make("details", { className: "video" }, make("summary", {}, `Video of camera ${camera}`));
+  folding.addEventListener("toggle", () => {
+    if (!folding.open || folding.children.length > 1) return;
+    folding.append(make("video", { controls: true, muted: true, src: source, "aria-label": `video of camera ${camera}` }), make("a", { href: source, download: "" }, `${camera}.mp4`));
+  });
+  return folding;
+}
 
 /** Open the page of a run from another tab. */
 export function showRun(id) {

@@ -1,0 +1,121 @@
+"""The tables `[cameras.NAME]` of a station file, and the check that the extra `camera` is installed."""
+
+import importlib.util
+import math
+from collections.abc import Mapping
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from station.config.strict import ConfigError, Name, Row, Strict
+from station.devices.config import Mount
+
+#: Value of `device` for a camera that the virtual lab simulates.
+SIMULATED = "simulated"
+#: Python modules of the extra `camera`.
+MODULES = ("cv2", "av")
+#: Largest number of cameras of a station; each uses a process.
+MAX_CAMERAS = 4
+#: Largest number of bits that a video uses for a pixel of a frame.
+VIDEO_BITS_PER_PIXEL = 0.15
+
+Pixels = Annotated[float, Field(gt=0.0, le=1e5)]
+
+
+class LensFile(Strict):
+    """Lens of a camera, in OpenCV's model: pinhole with radial and tangential distortion."""
+
+    focal: Annotated[tuple[Pixels, Pixels], Row]
+    """focal lengths along the rows and along the columns, above 0 [pixel]"""
+    centre: Annotated[tuple[Pixels, Pixels], Row]
+    """point of the picture on the optical axis: column and row, above 0 [pixel]"""
+    distortion: Annotated[tuple[float, float, float, float, float], Row] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 of OpenCV"""
+
+
+class SimulationFile(Strict):
+    """What a simulated camera does differently from an ideal one; the station does not know these values."""
+
+    noise: Annotated[float, Field(ge=0.0, le=50.0)] = 2.0
+    """standard deviation of the noise of a pixel, of 255 grey levels [level]"""
+    latency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.040
+    """time from the exposure to the arrival of a frame, at most 1 [s]"""
+    dropped: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """fraction of the frames that do not arrive, at most 1 [-]"""
+    ball: Annotated[float, Field(ge=0.0, le=0.02)] = 0.003
+    """diameter of the ball at the tip, at most 0.02; 0: no ball [m]"""
+
+
+class CameraFile(Strict):
+    """A camera that looks at the robot."""
+
+    device: Annotated[str, Field(min_length=1, max_length=200)] = SIMULATED
+    """`simulated`: the virtual lab renders the frames; otherwise the stable path of a USB camera, which `ls
+    /dev/v4l/by-id` lists, or of a video file"""
+    width: Annotated[int, Field(ge=64, le=4096, multiple_of=2)] = 640
+    """columns of a frame, an even number"""
+    height: Annotated[int, Field(ge=64, le=4096, multiple_of=2)] = 480
+    """rows of a frame, an even number"""
+    rate: Annotated[float, Field(ge=1.0, le=120.0)] = 30.0
+    """frames per second, at most 120 [1/s]"""
+    latency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.040
+    """time from the exposure to the arrival of a frame, which the station subtracts, at most 1 [s]"""
+    lens: LensFile | None = None
+    """result of a calibration of the lens; without it a USB camera shows no overlay. A simulated camera has by default
+    a focal length of one picture width and no distortion"""
+    pose: Mount | None = None
+    """pose of the camera in the world: its x axis is along the rows, its y axis along the columns, and z looks at the
+    robot; without it a USB camera shows no overlay. A simulated camera is by default 0.4 m next to the robot"""
+    simulation: SimulationFile | None = None
+    """noise, latency and losses of a simulated camera"""
+
+    @model_validator(mode="after")
+    def _simulation_of_a_simulated_camera(self) -> Self:
+        if self.simulation is not None and not self.simulated:
+            raise ValueError(f"simulation belongs to device = '{SIMULATED}'; remove it")
+        return self
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the virtual lab renders the frames."""
+        return self.device == SIMULATED
+
+    @property
+    def view(self) -> tuple[LensFile, Mount] | None:
+        """Lens and pose; None if they are not known."""
+        if self.simulated:
+            default = LensFile(focal=(self.width, self.width), centre=(0.5 * self.width, 0.5 * self.height))
+            return self.lens or default, self.pose or SIDE_POSE
+        return None if self.lens is None or self.pose is None else (self.lens, self.pose)
+
+    @property
+    def video_bit_rate(self) -> float:
+        """Largest bit rate of the camera's video [bit/s]."""
+        return VIDEO_BITS_PER_PIXEL * self.width * self.height * self.rate
+
+
+#: Each component of the rotation vector of a third of a turn about (1, 1, 1) [rad].
+_THIRD_TURN = 2.0 * math.pi / math.sqrt(27.0)
+#: Default pose of a simulated camera: it looks along the world's y axis, with z to the right and x down.
+SIDE_POSE = Mount(position=(0.02, -0.4, 0.13), rotation_vector=(-_THIRD_TURN, -_THIRD_TURN, -_THIRD_TURN))
+
+CamerasFile = Annotated[Mapping[Name, CameraFile], Field(max_length=MAX_CAMERAS)]
+
+
+def check_cameras(cameras: Mapping[str, CameraFile], *, virtual: bool) -> None:
+    """Check that the cameras can be opened on a station with a virtual lab (`virtual`) or with real devices.
+
+    Raises:
+        ConfigError: the extra `camera` is not installed, or a simulated camera has no virtual lab.
+    """
+    for name, camera in cameras.items():
+        if missing := [module for module in MODULES if importlib.util.find_spec(module) is None]:
+            raise ConfigError(
+                f"cameras.{name}: cameras need the extra 'camera', but the module '{missing[0]}' is not installed:"
+                " pip install 'ctr-station[camera]'"
+            )
+        if camera.simulated and not virtual:
+            raise ConfigError(
+                f"cameras.{name}.device = '{SIMULATED}': real devices have no simulated camera;"
+                " give the path of a USB camera from /dev/v4l/by-id"
+            )

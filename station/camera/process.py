@@ -1,0 +1,256 @@
+"""The process of one camera, `ctr-camera`: it captures frames, and encodes them only while they are needed.
+
+The process receives messages of the station process through a pipe and sends reports and pictures back. It has no
+access to the control loop: a camera that stalls, floods or dies delays only its own pictures.
+"""
+
+import contextlib
+import os
+import signal
+from collections import deque
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from station.camera.config import CameraFile
+from station.config.robots import RobotFile
+from station.control.clock import StationClock
+from station.control.realtime import set_process_name
+from station.control.ring import Ring
+
+if TYPE_CHECKING:
+    from station.camera.rendering import Picture
+    from station.camera.sources import Source
+    from station.camera.video import VideoWriter
+
+#: Longest wait for a frame before the messages are read again [s].
+GRAB_TIMEOUT_S = 0.05
+#: Interval between two reports, and between two attempts to open a camera [s].
+REPORT_INTERVAL_S, RETRY_INTERVAL_S = 0.25, 1.0
+#: Time over which the rate of the frames is counted [s].
+RATE_SPAN_S = 2.0
+#: Largest number of pictures that clients receive in a second, and their JPEG quality of 100.
+PICTURES_PER_S, JPEG_QUALITY = 15.0, 80
+#: Fraction of the interval between two frames below which a frame is surplus and is not decoded.
+SURPLUS = 0.5
+#: Niceness of the process: other processes of the station go first.
+NICENESS = 5
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """Start parameters of a camera's process."""
+
+    name: str
+    camera: CameraFile
+    robot: RobotFile
+    ring_name: str
+    ring_width: int
+    clock: StationClock
+    seed: int
+
+
+class Watch(NamedTuple):
+    """Message of the station process: clients need pictures until a time."""
+
+    until: float  #: by the station's clock [s]
+
+
+class StartVideo(NamedTuple):
+    """Message of the station process: record a video until `EndVideo`."""
+
+    folder: Path  #: folder of the run's videos
+    epoch: int  #: wall time at which the station's clock was 0 [ns since 1970]
+
+
+class EndVideo(NamedTuple):
+    """Message of the station process: finish the video, if one is recorded."""
+
+
+class CameraPicture(NamedTuple):
+    """Message of the camera: a picture for the clients."""
+
+    number: int  #: number of the frame, from 1
+    time: float  #: exposure by the station's clock [s]
+    jpeg: bytes
+
+
+class CameraReport(NamedTuple):
+    """Message of the camera, sent at regular intervals."""
+
+    problem: str  #: why there are no frames; empty if there are
+    rate: float  #: frames that have arrived in a second [1/s]
+    frames: int  #: number of frames since the start
+    surplus: int  #: number of frames that came too fast and were dropped
+    newest: float | None  #: exposure of the newest frame by the station's clock [s]; None: no frame yet
+    video: int = 0  #: number of frames in the video of the present run, or of the last one
+    video_problem: str = ""  #: why the video ended before its run; empty otherwise
+
+
+CameraMessage = CameraPicture | CameraReport
+
+
+def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
+    """Main function of a camera's process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when this process ends
+    signals: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
+    set_process_name("ctr-camera")
+    os.nice(NICENESS)
+    ring = Ring(setup.ring_width, setup.ring_name)
+    capture = _Capture(setup, ring, pipe)
+    try:
+        with contextlib.suppress(EOFError, OSError):  # the station process is gone
+            while not signals and os.getppid() == parent and capture.step():
+                pass
+    finally:
+        capture.close()
+        ring.close(remove=os.getppid() != parent)
+
+
+class _Capture:
+    """Capture loop of one camera."""
+
+    def __init__(self, setup: CameraSetup, ring: Ring, pipe: Connection) -> None:
+        self._setup, self._ring, self._pipe, self._clock = setup, ring, pipe, setup.clock
+        self._source: Source | None = None
+        self._problem = "the camera is being opened"
+        self._retry = self._report_due = 0.0
+        self._watched_until = self._picture_due = 0.0
+        self._arrivals: deque[float] = deque()
+        self._frames = self._surplus = 0
+        self._newest: float | None = None
+        self._start: StartVideo | None = None  # order whose video starts with the next frame
+        self._video: VideoWriter | None = None
+        self._recorded, self._video_problem = 0, ""
+
+    def step(self) -> bool:
+        """Process messages and at most one frame; return False if the station process ends this process."""
+        while self._pipe.poll():
+            message: Watch | StartVideo | EndVideo | None = self._pipe.recv()
+            match message:
+                case None:
+                    return False
+                case Watch():
+                    self._watched_until = message.until
+                case StartVideo():
+                    self._start_video(message)
+                case EndVideo():
+                    self._end_video()
+        if self._source is None:
+            self._open()
+        if self._source is not None:
+            self._grab(self._source)
+        self._report()
+        return True
+
+    def close(self) -> None:
+        """Finish the video and release the camera."""
+        self._end_video()
+        self._release()
+
+    def _release(self) -> None:
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+    def _start_video(self, start: StartVideo) -> None:
+        """Start a video with the next frame, so that a camera without frames leaves no empty file."""
+        self._end_video()
+        self._recorded, self._video_problem = 0, ""
+        self._start = start
+
+    def _end_video(self) -> None:
+        from station.recording.run_outcome import RecordingError
+
+        video, self._video, self._start = self._video, None, None
+        if video is not None:
+            try:
+                video.close()
+            except RecordingError as error:
+                self._video_problem = self._video_problem or str(error)
+
+    def _record(self, picture: "Picture", exposed: float) -> None:
+        from station.camera.video import VideoWriter, next_video
+        from station.recording.run_outcome import RecordingError
+
+        start, self._start = self._start, None
+        try:
+            if start is not None:
+                if not start.folder.parent.is_dir():
+                    return  # the run ended before the first frame
+                setup = self._setup
+                self._video = VideoWriter(next_video(start.folder, setup.name), setup.name, setup.camera, start.epoch)
+            if self._video is not None:
+                self._video.write(picture, exposed)
+                self._recorded = self._video.frames
+        except RecordingError as error:
+            self._video_problem = str(error)
+            self._end_video()
+
+    def _open(self) -> None:
+        if self._clock.now() < self._retry:
+            self._pipe.poll(self._clock.real(GRAB_TIMEOUT_S))
+            return
+        from station.camera.sources import CameraLost, open_source  # imports OpenCV
+
+        setup = self._setup
+        try:
+            self._source = open_source(setup.camera, setup.robot.robot(), self._ring, self._clock, setup.seed)
+        except CameraLost as error:
+            self._lost(str(error))
+
+    def _lost(self, problem: str) -> None:
+        self._release()
+        self._problem, self._retry = problem, self._clock.now() + RETRY_INTERVAL_S
+
+    def _grab(self, source: "Source") -> None:
+        from station.camera.sources import CameraLost
+
+        try:
+            exposed = source.grab(GRAB_TIMEOUT_S)
+        except CameraLost as error:
+            self._lost(str(error))
+            return
+        if exposed is None:
+            return
+        self._problem, self._frames = "", self._frames + 1
+        self._arrivals.append(self._clock.now())
+        if self._newest is not None and 0.0 <= exposed - self._newest < SURPLUS / self._setup.camera.rate:
+            self._surplus += 1
+            return
+        self._newest = exposed
+        viewed = exposed >= self._picture_due and self._clock.now() < self._watched_until
+        recorded = self._video is not None or self._start is not None
+        if not viewed and not recorded:
+            return
+        picture = source.retrieve()
+        if picture is None:
+            return
+        if recorded:
+            self._record(picture, exposed)
+        if viewed:
+            self._picture_due = max(self._picture_due + 1.0 / PICTURES_PER_S, exposed)
+            self._send_picture(picture, exposed)
+
+    def _send_picture(self, picture: "Picture", exposed: float) -> None:
+        import cv2
+
+        good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        if good:
+            self._pipe.send(CameraPicture(self._frames, exposed, jpeg.tobytes()))
+
+    def _report(self) -> None:
+        now = self._clock.now()
+        if now < self._report_due:
+            return
+        self._report_due = now + REPORT_INTERVAL_S
+        while self._arrivals and now - self._arrivals[0] > RATE_SPAN_S:
+            self._arrivals.popleft()
+        rate = len(self._arrivals) / RATE_SPAN_S
+        self._pipe.send(
+            CameraReport(
+                self._problem, rate, self._frames, self._surplus, self._newest, self._recorded, self._video_problem
+            )
+        )

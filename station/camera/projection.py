@@ -1,0 +1,53 @@
+"""Projection of points of the world to a camera's picture, with OpenCV's lens model but without OpenCV."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from core.robot.robot import Array
+from station.camera.config import CameraFile, LensFile
+from station.devices.config import Mount
+
+#: Smallest distance in front of a camera at which a point is projected [m].
+NEAREST_M = 1e-3
+
+
+class CameraView(NamedTuple):
+    """Lens and pose of a camera."""
+
+    matrix: Array  #: (3, 3) camera matrix [pixel]
+    distortion: Array  #: (5,) k1, k2, p1, p2, k3
+    rotation: Array  #: (3, 3) from the world's axes to the camera's
+    position: Array  #: (3,) optical centre in the world [m]
+
+    @classmethod
+    def of(cls, lens: LensFile, pose: Mount) -> "CameraView":
+        """Return the view of a lens at a pose in the world."""
+        (fx, fy), (cx, cy) = lens.focal, lens.centre
+        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        return cls(matrix, np.array(lens.distortion), pose.rotation.T, np.array(pose.position))
+
+    def in_camera(self, points: Array) -> Array:
+        """Return points (n, 3) of the world in the camera's frame (n, 3) [m]; z is the distance along the axis."""
+        return (points - self.position) @ self.rotation.T
+
+    def project(self, points: Array) -> Array:
+        """Return the pixels (n, 2), column and row, of points (n, 3) of the world [m]; NaN behind the camera.
+
+        The centre of the first pixel is (0, 0).
+        """
+        x, y, z = self.in_camera(points).T
+        z = np.where(z > NEAREST_M, z, np.nan)
+        x, y = x / z, y / z
+        k1, k2, p1, p2, k3 = self.distortion
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        across = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+        down = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+        fx, fy, cx, cy = self.matrix[0, 0], self.matrix[1, 1], self.matrix[0, 2], self.matrix[1, 2]
+        return np.column_stack((fx * across + cx, fy * down + cy))
+
+
+def view_of(camera: CameraFile) -> CameraView | None:
+    """Return the view of a camera; None if lens or pose are not known."""
+    return None if camera.view is None else CameraView.of(*camera.view)

@@ -1,0 +1,120 @@
+// Cameras: live pictures with the model drawn over them, and snapshots. A picture is requested only while it is visible.
+import { $, button, make, note, onStatus, request, setText } from "../page/station.js";
+import { isOpen, onTab, openTab } from "../page/tabs.js";
+import { svg } from "../page/chart.js";
+
+const STATE_INTERVAL_MS = 500, OVERLAY_INTERVAL_MS = 150, RETRY_MS = 1500, TIMEOUT_MS = 4000, MARK_PX = 9;
+const large = make("div", { id: "camera-large", hidden: true });
+const known = await request("GET", "/api/cameras");
+const cameras = known.map((camera) => new Camera(camera));
+
+/** Picture of one camera with its overlay, state and buttons. */
+function Camera({ name, width, height, calibrated }) {
+  const id = encodeURIComponent(name);
+  const image = make("img", { alt: `live picture of camera ${name}` });
+  const drawing = svg("svg", { viewBox: `-0.5 -0.5 ${width} ${height}`, "aria-hidden": "true" });
+  const state = make("output", { "aria-label": `state of camera ${name}` }), problem = make("p", { className: "mind" });
+  const shown = make("input", { type: "checkbox", checked: calibrated, disabled: !calibrated });
+  const legend = make("span", { className: "camera-legend dim" },
+    make("i", { "data-sign": "model" }), "tubes by the model", make("i", { "data-sign": "measured" }), "measured tip", make("i", { "data-sign": "desired" }), "desired tip");
+  const enlarge = button("Large", () => setLarge(large.firstChild === figure ? null : figure), { name: "large" });
+  const picture = make("div", { className: "camera-picture", style: `aspect-ratio: ${width} / ${height}` }, image, drawing);
+  const figure = make("figure", { className: "camera", style: `--ratio: ${width / height}` }, picture,
+    make("figcaption", {}, make("b", {}, name), state, make("label", { title: calibrated ? "" : "the lens or the pose of this camera is not known" }, shown, "model over the picture"),
+      button("Snapshot", () => saveSnapshot(name)), enlarge, problem, legend));
+  let live = false, retry = 0, tries = 0;
+
+  /** Start or end the stream: it runs only while the picture is visible. */
+  const update = () => {
+    const visible = !document.hidden && (isOpen("cameras") || large.firstChild === figure);
+    setText(enlarge, large.firstChild === figure ? "Small" : "Large");
+    if (visible === live) return;
+    live = visible;
+    clearTimeout(retry);
+    if (live) connect(); else image.removeAttribute("src");
+  };
+  const connect = () => { if (live) image.src = `/api/cameras/${id}/stream?try=${(tries += 1)}`; };
+  image.addEventListener("error", () => {
+    if (!live) return;
+    clearTimeout(retry);
+    retry = setTimeout(connect, RETRY_MS);
+  });
+  let pending = false;
+  setInterval(async () => {
+    if (!live || !shown.checked || pending) return;
+    pending = true;
+    try { draw(drawing, await request("GET", `/api/cameras/${id}/overlay`, undefined, TIMEOUT_MS)); } catch { drawing.replaceChildren(); }
+    pending = false;
+  }, OVERLAY_INTERVAL_MS);
+  shown.addEventListener("change", () => { if (!shown.checked) drawing.replaceChildren(); legend.hidden = !shown.checked; });
+  legend.hidden = !calibrated;
+  return {
+    figure, update, name, connect,
+    show: (now) => {
+      setText(state, now.age === null ? "no frame yet" : `${now.rate.toFixed(0)} frames/s, ${now.age < 10 ? now.age.toFixed(2) : now.age.toFixed(0)} s old`);
+      setText(problem, now.problem);
+      problem.hidden = now.problem === "";
+    },
+  };
+}
+
+/** Draw the tubes of the model, the measured and the desired tip [pixel]. */
+function draw(drawing, { tubes, tip_measured: measured, tip_desired: desired }) {
+  const line = (points, sign) => svg("polyline", { class: sign, points: points.map((one) => one.join(",")).join(" ") });
+  const mark = (sign, [x, y]) => (sign === "measured" ? svg("circle", { class: sign, cx: x, cy: y, r: MARK_PX })
+    : svg("path", { class: sign, d: `M${x - MARK_PX},${y - MARK_PX}l${2 * MARK_PX},${2 * MARK_PX}m0,${-2 * MARK_PX}l${-2 * MARK_PX},${2 * MARK_PX}` }));
+  const longest = tubes[0] ?? []; // the innermost tube; the others lie on its line
+  drawing.replaceChildren(line(longest, "under"), line(longest, "model"), ...[["measured", measured], ["desired", desired]].filter(([, at]) => at !== null).map(([sign, at]) => mark(sign, at)));
+}
+
+async function saveSnapshot(name) {
+  try {
+    const answer = await fetch(`/api/cameras/${encodeURIComponent(name)}/snapshot`, { cache: "no-store" });
+    if (!answer.ok) throw new Error((await answer.json()).error);
+    const file = /filename="([^"]+)"/.exec(answer.headers.get("content-disposition") ?? "")?.[1] ?? `${name}.jpg`;
+    const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: file });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    note(`saved the picture as ${file}`, true);
+  } catch (error) {
+    note(`no picture of camera ${name}: ${error.message}`);
+  }
+}
+
+/** Show a picture in the area of the scene, and all others in the tab; null: all in the tab. */
+function setLarge(figure) {
+  large.replaceChildren(...(figure === null ? [] : [figure]));
+  large.hidden = figure === null;
+  $("cameras").replaceChildren(...cameras.map((one) => one.figure).filter((one) => one !== figure));
+  // Chromium ends the stream of an image that is moved within the page.
+  for (const camera of cameras) camera.connect();
+  if (figure !== null && cameras.length === 1) $("cameras").append(make("p", { className: "dim" }, "The picture is next to these controls. Press Small to move it back."));
+  updateAll();
+}
+
+const updateAll = () => cameras.forEach((camera) => camera.update());
+
+if (cameras.length === 0) {
+  $("cameras").append(make("p", {}, "This station has no camera. Add a table [cameras.NAME] to its station file."));
+  if (isOpen("cameras")) openTab("start");
+} else {
+  $("tab-cameras").hidden = false;
+  $("left").append(large);
+  setLarge(null);
+  onTab("cameras", updateAll);
+  document.addEventListener("visibilitychange", updateAll);
+  let answering = true;
+  onStatus((status) => { // after the station was restarted the stream has ended, which a browser does not report
+    const now = status !== null;
+    if (now && !answering) cameras.forEach((camera) => camera.connect());
+    answering = now;
+  });
+  const poll = async () => {
+    if (!isOpen("cameras") && large.hidden) return;
+    const states = await request("GET", "/api/cameras", undefined, TIMEOUT_MS).catch(() => []);
+    for (const state of states) cameras.find(({ name }) => name === state.name)?.show(state);
+  };
+  setInterval(poll, STATE_INTERVAL_MS);
+  onTab("cameras", poll);
+  poll();
+}
