@@ -73,6 +73,14 @@ class FrictionalPlant:
         """Frame of the innermost tube at the tip (3, 3), world frame."""
         return self._memory.rotation.copy()
 
+    def memory(self) -> Array:
+        """Return a copy of the state between ticks, for `restore`."""
+        return self._packed.copy()
+
+    def restore(self, memory: Array) -> None:
+        """Return to an earlier state from `memory`."""
+        self._packed[:] = memory
+
     def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
