@@ -227,6 +227,11 @@ class Strategy:
         return None
 
     @property
+    def gain(self) -> float:
+        """Gain K1 of the measured tip in a built-in outer loop; 0 for other loops [1/s]."""
+        return 0.0 if self.laws is None else self.laws[0]
+
+    @property
     def names(self) -> tuple[str, str]:
         """Names of outer and inner loop, for messages."""
         inner = self.inner

@@ -22,6 +22,7 @@ from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import Corrections, FusedLoad, fuse_at
+from core.control.stiffness import NO_OFFSET, STAGES_LAG_S, Offset, TipStiffness
 from core.control.tip_direction import (
     POSITION_ONLY,
     DirectionEstimate,
@@ -61,6 +62,7 @@ class ControllerState(NamedTuple):
     slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
     zeros: SensorZeros | None = None  #: drift of the base sensors' zeros since the tare, if it is tracked
     deflection: DeflectionForce | None = None  #: force from the deflection, if there is a tracker
+    offset: Offset = NO_OFFSET  #: offset of the setpoint that gives way to the force, if a stiffness is configured
 
 
 class Tick(NamedTuple):
@@ -114,6 +116,8 @@ class Controller:
     senses: bool = True
     #: Standard deviation of the model's deflection relative to the deflection, for the force from the deflection.
     tube_error: float = TUBE_ERROR
+    #: Desired stiffness of the tip; None: as stiff as the joints allow.
+    stiffness: TipStiffness | None = None
 
     def __post_init__(self) -> None:
         n = len(self.limits.joints)
@@ -121,6 +125,11 @@ class Controller:
             raise DescriptionError("custom loops control position only; use a built-in strategy to control direction")
         if self.tasks and self.strategy.laws is None:
             raise DescriptionError("custom loops control position only; use a built-in strategy with further tasks")
+        laws = self.strategy.laws
+        if self.stiffness is not None and not (laws is not None and laws[0] == laws[1] > 0.0):
+            raise DescriptionError(
+                "stiffness: the loops must control the tip's position; use strategy 'dual_layer' with k1 = k2 above 0"
+            )
         if self.aim.lever > 0.0 and self.aim.rows > n:
             raise DescriptionError(f"task: {self.aim.rows} coordinates of the tip need as many joints; there are {n}")
 
@@ -136,6 +145,15 @@ class Controller:
         return FeedbackOptions(lead_time, self.observes, self.exact_rate)
 
     @cached_property
+    def force_delay(self) -> float:
+        """Time from a change of the force at the tip to the joints' response [s].
+
+        Without force sensors the observer detects the force, so its time constant is added.
+        """
+        observing = 0.0 if self.senses else 1.0 / (2.0 * math.pi * self.estimator.observer.bandwidth)
+        return self.estimator.actuation.lead_time + STAGES_LAG_S + observing
+
+    @cached_property
     def kinks(self) -> Kinks:
         """Kinks (joint positions where the Jacobian jumps) that the null-space objective resists.
 
@@ -146,10 +164,11 @@ class Controller:
         return kinks if len(self.limits.joints) >= self.aim.rows + 2 else Kinks(kinks.rows[:0], kinks.offsets[:0])
 
     def check_loops(self, joints: Array) -> None:
-        """Call custom loops and tasks once in the unloaded pose `joints` (n,), before the robot moves.
+        """Call custom loops and tasks once in the unloaded pose `joints` (n,), and check the tip's stiffness there.
 
         Raises:
             ContractError: a custom loop or task raised, or returned a value that violates its interface.
+            DescriptionError: the tip's stiffness is too low for the delay of the line.
             CtrError: the model has no shape in this pose.
 
         """
@@ -159,6 +178,8 @@ class Controller:
             rest = self.statics.solve(joints, _NO_LOAD)
             for task in self.tasks:
                 custom_rows(task, TaskInputs(self.strategy.laws, self.feedback, rest, rest))
+        if self.stiffness is not None:
+            self.stiffness.check(self.statics.solve(joints, _NO_LOAD), self.force_delay)
 
     def tare(self, readings: Array, joints: Array) -> Array:
         """Return the tare (q, 6) of the base sensors from readings (q, 6) without load at joints (n,)."""
@@ -258,8 +279,11 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     direction = None
     if controller.aim.lever > 0.0 or controller.watches:
         direction = _direction_estimate(controller, memory.direction, now, sample)
-    slope = memory.slope
+    slope, offset = memory.slope, NO_OFFSET
     if isinstance(order, Setpoint):
+        followed = order
+        if controller.stiffness is not None:
+            order, followed, offset = _yielding(controller, controller.stiffness, memory, now, force, tip, order)
         tasks, null_space = list(controller.tasks), None
         if direction is not None and controller.aim.lever > 0.0:
             tasks.append(DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
@@ -270,7 +294,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
             )
         found = command(
             controller.strategy, controller.feedback, limits,
-            sample.joints, now, force, order, tip, memory.origin, drift,
+            sample.joints, now, force, followed, tip, memory.origin, drift,
             controller.aim, tasks, null_space,
         )  # fmt: skip
     else:
@@ -285,8 +309,26 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection),
+        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset),
     )  # fmt: skip
+
+
+def _yielding(
+    controller: Controller, stiffness: TipStiffness, memory: ControllerState, now: Estimate, force: Array, tip: Array,
+    order: Setpoint,
+) -> tuple[Setpoint, Setpoint, Offset]:  # fmt: skip
+    """Return the setpoint that gives way to the force, the setpoint for the loops, and the offset of both.
+
+    The loops multiply the remaining distance by k1. Where contact allows less, the setpoint for the loops is nearer.
+    """
+    feedback, gain = controller.feedback, controller.strategy.gain
+    rates = stiffness.rates(now.loaded.compliance[:3, :3], gain, controller.force_delay)
+    offset = stiffness.update(memory.offset, force, rates, controller.period)
+    order = order._replace(position=order.position + offset.position, velocity=order.velocity + offset.velocity)
+    here = (now.known.tip_ahead if feedback.observes else tip) - memory.origin
+    ahead = feedback.lead_time * order.velocity
+    nearer = here + rates.gain @ (order.position + ahead - here) / gain - ahead
+    return order, order._replace(position=nearer), offset
 
 
 def _updated_zeros(controller: Controller, last: SensorZeros, load: FusedLoad, now: Estimate) -> SensorZeros:

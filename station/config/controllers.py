@@ -10,6 +10,7 @@ from core.control.estimation import Actuation, Estimator
 from core.control.null_space import NullSpaceObjective
 from core.control.observer import Observer, RateFilter
 from core.control.step import Controller
+from core.control.stiffness import TipStiffness
 from core.control.tip_direction import DEFAULT_LEVER_M, task_selection
 from core.control.tip_force import LoadEstimator
 from core.errors import DescriptionError
@@ -23,7 +24,7 @@ from core.model.statics import (
 )
 from core.robot.robot import Robot
 from station.config.robots import RobotFile
-from station.config.strict import NotNegative, Strict
+from station.config.strict import NotNegative, Row, Strict
 
 #: Period of the inner loop and of the whole control loop [s].
 PERIOD_S = 0.002
@@ -49,6 +50,11 @@ class Present(NamedTuple):
 
 #: Inner loops that need force sensors, and those that need a tracker.
 SENSOR_LOOPS, TRACKER_LOOPS = frozenset({"type_1", "type_1_exact", "loaded"}), frozenset({"type_2"})
+
+
+StiffnessValue = Annotated[float, Field(ge=1.0, le=1e4)]
+#: Stiffness along the three axes of the world frame [N/m].
+Stiffness = Annotated[tuple[StiffnessValue, StiffnessValue, StiffnessValue], Row]
 
 
 class ControllerFile(Strict):
@@ -79,6 +85,12 @@ class ControllerFile(Strict):
     null_space: Mapping[str, NotNegative] = {}
     """weights of the null-space objective, which keeps redundant joints away from: `stability` (the edge where tubes
     snap), `limits` (ends of travel), `order` (of the tubes)"""
+    stiffness: Stiffness | None = None
+    """stiffness of the tip along the axes x, y, z of the world frame, 1 ... 10000 [N/m]; default: as stiff as the
+    joints allow. The tip must be at most 5 / T times softer than the tubes along their stiffest direction, where T is
+    half of `command_interval` plus `transport_delay` plus 0.02 s; a lower stiffness is refused"""
+    max_offset: Annotated[float, Field(gt=0.0, le=0.05)] = 0.02
+    """largest offset by which the setpoint gives way to a force, with `stiffness` [m]"""
     load: Literal["forces", "wrenches"] = "forces"
     """estimate the force at the tip from the sum of the base forces as in the paper, or from all forces and moments of
     the sensors; a bench without force sensors ignores this key"""
@@ -183,6 +195,7 @@ class ControllerFile(Strict):
             null_space=NullSpaceObjective(self.null_space) if self.null_space else None,
             tracked=present.tracker,
             senses=present.sensors,
+            stiffness=None if self.stiffness is None else TipStiffness(self.stiffness, self.max_offset),
         )
 
 

@@ -1,16 +1,20 @@
-"""Simulated loads: the force at the robot's tip or on its shaft as a function of time. Gravity points along +x."""
+"""Simulated loads: forces at the robot's tip or on its shaft. Gravity points along +x.
+
+The force of most loads is a function of time. A wall or a sphere is an obstacle: its force follows from the true tip,
+and `station.lab.tip_contact` computes it together with the shape of the plant.
+"""
 
 import bisect
 import math
 from functools import lru_cache
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from core.contract import name_of, numbers, result_of
 from core.robot.robot import Array
-from station.config.strict import Direction, NotNegative, Row, Strict
+from station.config.strict import Direction, NotNegative, Row, Strict, Vector
 
 GRAVITY = (1.0, 0.0, 0.0)
 #: Largest force of a load [N]: the base sensors saturate at 18 N, and nitinol tubes of a millimetre bear much less.
@@ -285,6 +289,84 @@ class ContactLoad(_Directed):
         return self._along(self.magnitude if time >= 0.0 else 0.0)
 
 
+class Depth(NamedTuple):
+    """Depth of a tip in an obstacle, and the direction out of the obstacle."""
+
+    depth: float  #: depth of the tip below the surface; negative outside the obstacle [m]
+    normal: Array  #: (3,) unit normal of the surface, which points out of the obstacle
+
+
+class _Obstacle(_AtTip):
+    """An obstacle that the tip touches: elastic normal force, damping and friction."""
+
+    stiffness: Annotated[float, Field(ge=1.0, le=1e5)] = 1000.0
+    """normal force per depth of the tip below the surface [N/m]; tissue has about 100 to 500 N/m"""
+    damping: Annotated[float, Field(ge=0.0, le=1e3)] = 0.0
+    """normal force per rate of the depth, which makes the obstacle a Kelvin-Voigt solid [N s/m]"""
+    friction: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    """coefficient of friction between tip and surface"""
+
+    @property
+    def changes(self) -> tuple[float, ...]:
+        """Times at which the load starts to change: unknown, because they depend on the tip."""
+        return ()
+
+    def force(self, time: float) -> Array:  # noqa: ARG002 - none at any time
+        """Return the force (3,) [N] of an obstacle that the tip does not touch: zero."""
+        return np.zeros(3)
+
+
+class WallLoad(_Obstacle):
+    """A flat wall, which may move along its normal; with damping it is a Kelvin-Voigt tissue."""
+
+    kind: Literal["wall"] = "wall"
+    direction: Direction = (0.0, 0.0, -1.0)
+    """normal of the wall, which points out of the wall toward the tip, world frame; its length does not matter"""
+    distance: Annotated[float, Field(ge=-0.05, le=0.1)] = 0.005
+    """distance of the wall from the tip at the motion's start; negative if the tip starts below the surface [m]"""
+    motion: Literal["sine", "heartbeat"] = "sine"
+    """motion of the wall along its normal: `sine`, or `heartbeat`, which advances during a third of each period"""
+    amplitude: Annotated[float, Field(ge=0.0, le=0.05)] = 0.0
+    """largest displacement of the moving wall, 0 for a wall at rest [m]"""
+    frequency: Annotated[float, Field(ge=0.01, le=5.0)] = 0.25
+    """frequency of the wall's motion [Hz]"""
+
+    def displacement(self, time: float) -> float:
+        """Return the displacement of the wall along its normal [m] at `time` [s] since the motion's start."""
+        turns = self.frequency * max(time, 0.0)
+        if self.motion == "sine":
+            return self.amplitude * math.sin(2.0 * math.pi * turns)
+        beat = min((turns - math.floor(turns)) / BEAT_SHARE, 1.0)
+        return self.amplitude * math.sin(math.pi * beat) ** 2
+
+    def depth(self, offset: Array, time: float) -> Depth:
+        """Return the depth of a tip at `offset` (3,) [m] from its start, at `time` [s] since the motion's start."""
+        normal = _unit(self.direction)
+        return Depth(self.displacement(time) - self.distance - float(normal @ offset), normal)
+
+
+class SphereLoad(_Obstacle):
+    """A soft sphere at rest, which the tip palpates from outside."""
+
+    kind: Literal["sphere"] = "sphere"
+    center: Vector
+    """center of the sphere relative to the tip at the motion's start [m]"""
+    radius: Annotated[float, Field(gt=0.0, le=0.5)]
+    """radius of the sphere [m]"""
+
+    def depth(self, offset: Array, time: float) -> Depth:  # noqa: ARG002 - at rest
+        """Return the depth of a tip at `offset` (3,) [m] from its start; a tip at the center is pushed along +z."""
+        away = offset - np.array(self.center)
+        distance = float(np.linalg.norm(away))
+        return Depth(self.radius - distance, away / distance if distance > 0.0 else np.array([0.0, 0.0, 1.0]))
+
+
+#: Part of each period in which a wall with the motion `heartbeat` moves; it rests during the other part.
+BEAT_SHARE = 0.35
+#: Loads whose force depends on the tip.
+Obstacle = WallLoad | SphereLoad
+
+
 Load = Annotated[
     NoLoad
     | ConstantLoad
@@ -295,7 +377,9 @@ Load = Annotated[
     | TapLoad
     | HungWeightLoad
     | AllAroundLoad
-    | ContactLoad,
+    | ContactLoad
+    | WallLoad
+    | SphereLoad,
     Field(discriminator="kind"),
 ]
 
@@ -305,7 +389,7 @@ _OWN_LOADS = frozenset(get_args(get_args(Load)[0]))
 
 
 def force_of(load: Load, time: float) -> Array:
-    """Return the force (3,) [N] of a load at `time` [s] since the motion's start.
+    """Return the force (3,) [N] of a load at `time` [s] since the motion's start; that of an obstacle is zero here.
 
     Raises:
         ContractError: a custom load raised, or returned something other than three finite numbers.

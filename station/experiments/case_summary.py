@@ -25,7 +25,7 @@ def window_name(start: float) -> str:
 
 
 #: Keys of the table `[controller]` that the summary shows for the strategy `dual_layer`, which uses all of them.
-CONTROLLER_KEYS = ("inner", "feedback", "k1", "k2", "feedforward", "filter_bandwidth")
+CONTROLLER_KEYS = ("inner", "feedback", "k1", "k2", "feedforward", "filter_bandwidth", "stiffness")
 KEYS_BY_STRATEGY: dict[str, tuple[str, ...]] = {
     "inner_loop": ("inner", "filter_bandwidth"),
     "dual_layer": CONTROLLER_KEYS,

@@ -82,6 +82,14 @@ class FrictionalPlant:
         beta = _trace(self._layout, self._packed, q, n, k, self._contact, self._step, path)
         return TubeShape.of(self.robot, beta, path, memory.force, self._contact)
 
+    def memory(self) -> Array:
+        """Return a copy of the state between ticks, for `restore`."""
+        return self._packed.copy()
+
+    def restore(self, memory: Array) -> None:
+        """Return to an earlier state from `memory`."""
+        self._packed[:] = memory
+
     def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 

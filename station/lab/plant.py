@@ -96,6 +96,14 @@ class Plant:
         """Frame of the innermost tube at the tip (3, 3), world frame."""
         return self._memory.rotation.copy()
 
+    def memory(self) -> Array:
+        """Return a copy of the state between ticks, for `restore`."""
+        return self._packed.copy()
+
+    def restore(self, memory: Array) -> None:
+        """Return to an earlier state from `memory`."""
+        self._packed[:] = memory
+
     def advance(
         self,
         positions: Array,

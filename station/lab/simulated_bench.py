@@ -12,7 +12,7 @@ import numpy as np
 
 from core.errors import ContractError, NoSolution, PoseError
 from core.robot.robot import Array, Robot
-from station.config.loads import Load, NoLoad, force_of
+from station.config.loads import Load
 from station.config.robots import RobotFile
 from station.devices.interfaces import GroundTruth
 from station.devices.zaber.setup import StageSetup
@@ -25,6 +25,7 @@ from station.lab.plant import TubeShape
 from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from station.lab.simulated_stages import STAGES
+from station.lab.tip_contact import LoadedPlant
 from station.lab.unmodelled_errors import UnmodelledErrors, random_direction
 from station.lab.wires import Wires, memory_wires
 
@@ -136,10 +137,9 @@ class SimulatedBench:
         self.faults = FaultScript(robot, self.chain, self.aurora, self.boxes, self._wires[:2])
         self.time = 0.0  #: time up to which the bench is simulated [s]
         self.trouble = ""  #: why the plant (simulated real robot) cannot follow its stages; empty if it follows
-        self._load: Load = NoLoad()
-        self._load_start = 0.0
         joints = self.hidden.joints(positions)
         self._plant = true_plant(self.hidden.robot(robot.robot()), config.plant, plant, joints)
+        self._loaded = LoadedPlant(self._plant)
         self._reports_axis = config.tracker.direction_noise is not None
         self.truth: GroundTruth
         self.truth, self._wrenches = self._plant.advance(joints, np.zeros(3))
@@ -167,7 +167,7 @@ class SimulatedBench:
 
     def apply_load(self, load: Load, start: float) -> None:
         """Apply a load to the tip; its time counts from `start` [s]."""
-        self._load, self._load_start = load, start
+        self._loaded.apply(load, start)
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
         """Replace all active and planned faults; times count from `start` [s].
@@ -184,9 +184,8 @@ class SimulatedBench:
         before = self._coil_position
         simulated_zaber.pump(self._wires.stages, self.chain, now, written=self.time)
         try:
-            force = force_of(self._load, now - self._load_start)
             joints = self.hidden.joints(self.positions)
-            self.truth, self._wrenches = self._plant.advance(joints, force, self._load.contact, now)
+            self.truth, self._wrenches = self._loaded.advance(joints, now)
             self.trouble = ""
             self._coil_position = self._coil()
             if self.hidden.changes_wrenches:

@@ -11,7 +11,7 @@ from core.control.step import Controller, Sample, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.robot.robot import Array, Robot
 from station.config.controllers import PERIOD_S
-from station.config.loads import Load, NoLoad, force_of
+from station.config.loads import Load
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 from station.control.loop import ControlLoop
@@ -36,6 +36,7 @@ from station.lab.frictional_plant import true_plant
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.simulated_stages import STAGES
+from station.lab.tip_contact import LoadedPlant
 
 
 class IdealLab:
@@ -53,8 +54,7 @@ class IdealLab:
         self._stages = IdealStages(robot, positions)
         self._tracker = IdealTracker(config.tracker.rate)
         self._sensors = IdealSensors()
-        self._load: Load = NoLoad()
-        self._load_start = 0.0
+        self._loaded = LoadedPlant(self._plant)
         self.devices = Devices(self._stages, self._tracker, self._sensors)
         self.advance(0.0)
 
@@ -69,7 +69,7 @@ class IdealLab:
 
     def apply_load(self, load: Load, start: float) -> None:
         """Apply a load to the tip; its time counts from `start` [s]."""
-        self._load, self._load_start = load, start
+        self._loaded.apply(load, start)
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - there are no wires
         """Refuse faults: ideal devices have none.
@@ -87,8 +87,7 @@ class IdealLab:
             PoseError, NoSolution: the plant (simulated real robot) has no shape.
         """
         self._stages.advance(now)
-        force = force_of(self._load, now - self._load_start)
-        truth, wrenches = self._plant.advance(self._stages.positions, force, now=now)
+        truth, wrenches = self._loaded.advance(self._stages.positions, now)
         self._tracker.direction = truth.direction
         self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, wrenches)
         return truth

@@ -72,9 +72,10 @@ function build(key, field, value, required, choices) {
     return { elements: cells(input, shown + range(bounds(core, scale))), read: readValue };
   }
   if (core.type === "array" && core.prefixItems) {
-    const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required, `${label} ${axis}`));
+    const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required && !optional, `${label} ${axis}`));
+    const omitted = () => optional && inputs.every((input) => input.value === ""); // the station chooses an omitted value
     return { elements: cells(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
-      read: () => inputs.map((input) => Number(input.value) / scale) };
+      read: () => (omitted() ? undefined : inputs.map((input) => Number(input.value) / scale)) };
   }
   const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
   return { elements: cells(list, si), read: () => list.value.split(",").map(Number) };

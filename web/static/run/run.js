@@ -15,8 +15,9 @@ const INITIAL_VALUES = {
   helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 },
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
+  sphere: { center: [0, 0, 0.02], radius: 0.015, stiffness: 200 },
 };
-const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
+const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "stiffness", "max_offset", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
 const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
 const NO_TARGET = "Not possible here: no target is measured. Start the station by ctr-station serve --lab breathing, or give the tracker a second coil.";
 /** Time for which the tip stays at the last waypoint [s]. */

@@ -10,8 +10,9 @@ from core.control.controllers import INNER_LOOPS, Strategy, strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.observer import Observer, RateFilter
 from core.control.step import Controller, Sample, set_origin, start_controller, step
+from core.control.stiffness import TipStiffness
 from core.control.trajectories import JointMotion, Setpoint
-from core.errors import CtrError, NotFinite
+from core.errors import CtrError, DescriptionError, NotFinite
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits, Workspace
@@ -112,6 +113,28 @@ def test_uncompensated_tip_moves_under_a_varying_load(paper_robot):
     _, tips = run(controller(paper_robot, "unloaded_jacobian"), Plant(paper_robot), 4.0, force=pull)
 
     assert np.abs(tips).max() > 5e-3
+
+
+def test_tip_with_a_stiffness_gives_way_by_force_over_stiffness_and_returns(paper_robot):
+    stiffness = (20.0, 40.0, 300.0)
+    unit = replace(controller(paper_robot), stiffness=TipStiffness(stiffness))
+    push = np.array([0.1, 0.1, 0.0])
+    ticks, tips = run(unit, Plant(paper_robot), 24.0, force=lambda time: push if time < 12.0 else np.zeros(3))
+
+    np.testing.assert_allclose(tips[5999], push / stiffness, atol=1e-4)
+    np.testing.assert_allclose(tips[-1], 0.0, atol=1e-4)
+    assert max(np.linalg.norm(tick.memory.offset.position) for tick in ticks) < 0.006
+
+
+def test_stiffness_is_refused_without_control_of_the_tip_position(paper_robot):
+    for unit in (controller(paper_robot, "inner_loop"), controller(paper_robot, k=0.0)):
+        with pytest.raises(DescriptionError, match="strategy 'dual_layer' with k1 = k2 above 0"):
+            replace(unit, stiffness=TipStiffness((20.0, 20.0, 20.0)))
+
+
+def test_stiffness_that_contact_does_not_allow_is_refused_before_a_motion(paper_robot):
+    with pytest.raises(DescriptionError, match="multiply the stiffness by"):
+        replace(controller(paper_robot, lag=0.02), stiffness=TipStiffness((1.0, 1.0, 1.0))).check_loops(POSE)
 
 
 def test_tip_approaches_a_step_setpoint_at_the_rate_of_equation_31(paper_robot):

@@ -8,7 +8,17 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from core.errors import ContractError
-from station.config.loads import ConstantLoad, HungWeightLoad, Load, NoLoad, RaisedCosineLoad, SineLoad, force_of
+from station.config.loads import (
+    ConstantLoad,
+    HungWeightLoad,
+    Load,
+    NoLoad,
+    RaisedCosineLoad,
+    SineLoad,
+    SphereLoad,
+    WallLoad,
+    force_of,
+)
 from station.config.strict import ConfigError, Strict, check
 
 
@@ -197,3 +207,40 @@ def test_custom_load_that_returns_no_force_is_refused_by_name(value: object) -> 
 
     with pytest.raises(ContractError, match="load 'Wrong'"):
         force_of(Wrong(), 0.0)
+
+
+def test_wall_moves_along_its_normal_as_configured():
+    sine = WallLoad(distance=0.004, amplitude=0.005, frequency=0.25)
+    beat = WallLoad(distance=0.004, motion="heartbeat", amplitude=0.005, frequency=1.0)
+    assert [sine.displacement(time) for time in (-1.0, 0.0, 1.0, 2.0, 3.0)] == pytest.approx([0, 0, 5e-3, 0, -5e-3])
+    # the beat takes 0.35 s of each second; its peak is in the middle
+    assert [beat.displacement(time) for time in (0.0, 0.175, 0.35, 0.6, 3.175)] == pytest.approx([0, 5e-3, 0, 0, 5e-3])
+
+
+def test_depth_in_a_wall_counts_from_its_present_surface():
+    wall = WallLoad(direction=(0.0, 0.0, -2.0), distance=0.004, amplitude=0.005, frequency=0.25)
+    assert wall.depth(np.array([1.0, 1.0, 0.006]), 0.0).depth == pytest.approx(0.002)
+    assert wall.depth(np.array([1.0, 1.0, 0.006]), 1.0).depth == pytest.approx(0.007)
+    assert wall.depth(np.zeros(3), 0.0).normal == pytest.approx([0.0, 0.0, -1.0])
+
+
+def test_depth_in_a_sphere_is_its_radius_minus_the_distance_from_its_center():
+    sphere = SphereLoad(center=(0.0, 0.003, 0.004), radius=0.01)
+    assert sphere.depth(np.zeros(3), 0.0).depth == pytest.approx(0.005)
+    assert sphere.depth(np.zeros(3), 0.0).normal == pytest.approx([0.0, -0.6, -0.8])
+    assert np.isfinite(sphere.depth(np.array([0.0, 0.003, 0.004]), 0.0).normal).all()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"kind": "wall", "stiffness": 0.0},
+        {"kind": "wall", "direction": [0.0, 0.0, 0.0]},
+        {"kind": "wall", "frequency": 6.0},
+        {"kind": "sphere", "center": [0.0, 0.0, 0.02], "radius": 0.0},
+        {"kind": "sphere", "center": [0.0, 0.0, 0.02], "radius": 0.01, "friction": -0.1},
+    ],
+)
+def test_obstacle_outside_its_bounds_is_refused(table):
+    with pytest.raises(ConfigError):
+        load(**table)
