@@ -9,12 +9,14 @@ from tests.harness.root import ROOT
 
 #: Files that may read the time of day: for names of folders, and time stamps of files, recordings and log lines.
 STAMPING = {
-    "station/benchmarks/report.py", "station/cli/calibrate.py", "station/cli/validate.py", "station/cli/workspace.py",
+    "station/benchmarks/report.py", "station/camera/host.py", "station/camera/video.py", "station/cli/calibrate.py",
+    "station/cli/validate.py", "station/cli/workspace.py",
     "station/experiments/manifest.py", "station/experiments/output.py", "station/experiments/sweep_plan.py",
     "station/recording/history.py", "station/recording/run_folder.py", "station/recording/writer.py",
     "station/service/audit.py",
     "station/service/live_calibration.py", "station/service/runs.py",
-    "web/access/audit_middleware.py", "web/gateway/foxglove.py", "web/gateway/igtl.py", "web/gateway/lsl.py",
+    "web/access/audit_middleware.py", "web/api/cameras.py",
+    "web/gateway/foxglove.py", "web/gateway/igtl.py", "web/gateway/lsl.py",
     "web/gateway/ros2.py", "web/gateway/snapshot.py",
 }  # fmt: skip
 TIME_OF_DAY = {"time.time", "time.time_ns", "time_ns", "datetime.now", "datetime.today", "time.localtime"}
