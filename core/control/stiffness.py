@@ -17,7 +17,7 @@ force to the joints, the loop of force and setpoint is
 
 It crosses 1 near r w for k <= w, and r w T <= `MAX_CROSSOVER_DELAY` leaves enough phase margin. So both the rate w and
 the gain k of each eigenvector are at most `MAX_CROSSOVER_DELAY` / (r T). The tubes are stiffest along their axis; there
-the tip returns to its setpoint slowly. A stiffness that would need a gain below `MIN_GAIN_HZ` is refused.
+the tip returns to its setpoint slowly. A stiffness that would need a gain below `MIN_GAIN_PER_S` is refused.
 """
 
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ from core.robot.robot import Array, positive
 #: Largest product of crossover frequency and delay [rad]: the delay takes this much of the phase margin.
 MAX_CROSSOVER_DELAY = 0.5
 #: Largest rate of the filter [1/s]; a faster filter would pass the noise of the force to the joints.
-MAX_RATE_HZ = 10.0
+MAX_RATE_PER_S = 10.0
 #: Smallest gain of the outer loop [1/s]: a tip that needs more than 30 s to return would seem to drift.
-MIN_GAIN_HZ = 0.1
+MIN_GAIN_PER_S = 0.1
 #: Time that the stages need to reach a new velocity, in addition to the delays of the line [s].
 STAGES_LAG_S = 0.02
 #: Largest speed of the offset [m/s], the default bound of streamed setpoints.
@@ -100,7 +100,7 @@ class TipStiffness:
         softness, vectors = self.softness(natural)
         rates = MAX_CROSSOVER_DELAY / delay / np.maximum(softness, 1e-9)
         scaled, back = self._root[:, None] * vectors, vectors.T / self._root
-        return Rates((scaled * np.minimum(rates, MAX_RATE_HZ)) @ back, (scaled * np.minimum(rates, gain)) @ back)
+        return Rates((scaled * np.minimum(rates, MAX_RATE_PER_S)) @ back, (scaled * np.minimum(rates, gain)) @ back)
 
     def check(self, at: PartsReader, delay: float) -> None:
         """Check that the tip can be controlled in contact with a rigid obstacle, in the pose of the solution `at`.
@@ -110,7 +110,7 @@ class TipStiffness:
 
         """
         softness = float(self.softness(at.part("compliance")[:3, :3])[0][-1])
-        most = MAX_CROSSOVER_DELAY / (MIN_GAIN_HZ * delay)
+        most = MAX_CROSSOVER_DELAY / (MIN_GAIN_PER_S * delay)
         if softness > most:
             values = ", ".join(f"{value:g}" for value in self.axes)
             raise DescriptionError(

@@ -67,9 +67,11 @@ def unpack(datagram: bytes) -> TimedShape | None:
     if len(datagram) % 8 or len(datagram) < 8 * HEAD:
         return None
     numbers: Array = np.frombuffer(datagram, "<f8").astype(np.float64)
+    if not 0.0 < numbers[1] <= len(numbers):  # also not a number
+        return None
     tubes = int(numbers[1])
     rest = numbers[HEAD + tubes :]
-    if not 0 < tubes <= len(numbers) or not len(rest) or len(rest) % 7:
+    if not len(rest) or len(rest) % 7:
         return None
     shape = TubeShape(rest.reshape(-1, 7), numbers[HEAD : HEAD + tubes], numbers[3:6], float(numbers[2]))
     return TimedShape(float(numbers[0]), shape)

@@ -100,7 +100,7 @@ class TipContact:
             self._update_compliance(joints, force, now)
             step = np.linalg.solve(np.eye(3) + push.slope @ self._compliance, push.force - force)
             force = _pushing(force + step, push.normal)
-        else:
+        else:  # the force is at `MAX_FORCE_N`, or the tick ends with the force of the last step
             state = self._plant.advance(joints, force, now=now)
         self._accept(state.truth.tip - self._start, force, time)
         return state

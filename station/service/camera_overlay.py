@@ -16,6 +16,7 @@ from station.config.strict import Strict
 from station.control.ring import HEARTBEAT, RING_ROWS, Ring
 from station.control.states import State
 from station.control.telemetry import stale_groups
+from station.recording.run_outcome import desired
 from station.service.status import STALE_AFTER_S
 from station.service.supervisor import Supervisor
 
@@ -59,6 +60,7 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
     times, measured = of(rows, "time")[:, 0], of(rows, "tip_time")[:, 0]
     tip = of(rows, "tip_measured")[int(np.argmin(np.abs(measured - times[len(rows) // 2])))]
     stale = stale_groups(supervisor.channels, row)
+    goals = desired(lambda group: of(rows, group), "target_measured")
     try:
         tubes = _tubes(supervisor, view, of(rows, "joints").mean(axis=0), of(rows, "force_filtered").mean(axis=0))
     except CtrError:
@@ -70,7 +72,7 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
         reason="" if tubes else "the model has no shape at these joint positions",
         tubes=tubes,
         tip_measured=None if "tip_measured" in stale else _pixel(view, tip),
-        tip_desired=_pixel(view, of(row, "tip_desired")) if follows else None,
+        tip_desired=_pixel(view, goals[len(rows) // 2]) if follows else None,
     )
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from station.camera.config import CameraFile
 from station.camera.projection import view_of
+from tests.harness.camera_ball import ball_centre
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until
 
@@ -48,14 +49,6 @@ def decoded(jpeg: bytes) -> NDArray[np.uint8]:
     return np.asarray(picture, np.uint8)
 
 
-def ball(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return the centre of the green ball (column, row) [pixel]."""
-    blue, green, red = (picture[..., channel].astype(float) for channel in range(3))
-    weight = np.clip(green - np.maximum(blue, red) - 40.0, 0.0, None)
-    rows, columns = np.indices(weight.shape)
-    return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
-
-
 def test_cameras_are_listed_with_their_state(station: Served) -> None:
     until(lambda: not cameras(station)["side"]["problem"] and not cameras(station)["top"]["problem"])
     found = cameras(station)
@@ -78,7 +71,7 @@ def test_snapshot_shows_the_ball_at_the_true_tip_and_the_overlay_is_near(station
     view, tip = view_of(CameraFile()), np.array(station.status()["tip_true"])
     assert view is not None
 
-    measured = ball(decoded(answer.content))
+    measured = ball_centre(decoded(answer.content))
     assert np.abs(measured - view.project(tip[None])[0]).max() < 0.5
     assert overlay["reason"] == ""
     assert (overlay["width"], overlay["height"]) == (640, 480)

@@ -18,6 +18,7 @@ from station.camera.video import decode_frames
 from station.recording.data_section import TELEMETRY_TOPIC
 from station.recording.read import read_case
 from station.recording.recover import recover
+from tests.harness.camera_ball import ball_centre
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until
 
@@ -34,13 +35,6 @@ def running(tmp_path: Path) -> Iterator[Served]:
     with serving("--data", str(tmp_path), settings=SETTINGS, rate=1.0) as served:
         until(lambda: not served.rest.get("/api/cameras").json()[0]["problem"])
         yield served
-
-
-def ball(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    blue, green, red = (picture[..., channel].astype(float) for channel in range(3))
-    weight = np.clip(green - np.maximum(blue, red) - 40.0, 0.0, None)
-    rows, columns = np.indices(weight.shape)
-    return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
 
 
 def row_times(path: Path) -> NDArray[np.float64]:
@@ -73,7 +67,7 @@ def test_video_has_the_time_of_the_telemetry_and_is_served_as_mp4(station: Serve
     recording, times = read_case(tmp_path / run / "run.mcap"), row_times(tmp_path / run / "run.mcap")
     tips, view = recording.of("tip_true"), view_of(CameraFile())
     assert view is not None
-    inside = [(stamp / 1e9, ball(picture)) for stamp, picture in frames if times[0] <= stamp / 1e9 <= times[-1]]
+    inside = [(stamp / 1e9, ball_centre(picture)) for stamp, picture in frames if times[0] <= stamp / 1e9 <= times[-1]]
     assert len(inside) > 60
     stamps, found = np.array([stamp for stamp, _ in inside]), np.array([pixel for _, pixel in inside])
     pixels = view.project(tips)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.control.stiffness import MAX_RATE_HZ, MAX_SPEED_M_S, MIN_GAIN_HZ, NO_OFFSET, TipStiffness
+from core.control.stiffness import MAX_RATE_PER_S, MAX_SPEED_M_S, MIN_GAIN_PER_S, NO_OFFSET, TipStiffness
 from core.errors import DescriptionError
 
 PERIOD, DELAY, GAIN = 0.002, 0.0445, 2.5
@@ -45,7 +45,7 @@ def test_rates_of_every_direction_respect_the_delay():
     stiffness = TipStiffness((20.0, 60.0, 200.0))
     rates = stiffness.rates(NATURAL, GAIN, DELAY)
     loop = np.diag(stiffness.compliance) @ np.linalg.inv(NATURAL)
-    for matrix, most in ((rates.filter, MAX_RATE_HZ), (rates.gain, GAIN)):
+    for matrix, most in ((rates.filter, MAX_RATE_PER_S), (rates.gain, GAIN)):
         assert np.linalg.eigvals(loop @ matrix).real.max() * DELAY <= 0.5 + 1e-9
         assert np.linalg.eigvals(matrix).real.max() <= most + 1e-9
 
@@ -72,7 +72,7 @@ def test_stiffness_that_the_delay_does_not_allow_is_refused_with_the_factor_that
     with pytest.raises(DescriptionError, match=r"stiffness 1, 1, 1 N/m is \d+ times softer .* allows 112 times: mult"):
         TipStiffness((1.0, 1.0, 1.0)).check(Solved(), DELAY)
     TipStiffness((10.0, 10.0, 100.0)).check(Solved(), DELAY)
-    assert pytest.approx(112.0, abs=1.0) == 0.5 / (MIN_GAIN_HZ * DELAY)
+    assert pytest.approx(112.0, abs=1.0) == 0.5 / (MIN_GAIN_PER_S * DELAY)
 
 
 @pytest.mark.parametrize("wrong", [((0.0, 1.0, 1.0), 0.02), ((1.0, 1.0, float("nan")), 0.02), ((1.0, 1.0, 1.0), 0.0)])

@@ -28,6 +28,7 @@ from station.lab.plant import TubeShape
 from station.recording.recover import recover
 from station.recording.run_folder import VIDEOS_FOLDER, free_space_problem
 from station.recording.run_outcome import RecordingError
+from tests.harness.camera_ball import ball_centre
 from tests.harness.full_disk import full_disk
 
 CAMERA = CameraFile(width=320, height=240, rate=30.0, simulation=SimulationFile(noise=2.0, ball=0.01))
@@ -73,13 +74,6 @@ def units(data: bytes) -> list[int]:
     return [part[0] & 31 for part in data.replace(b"\0\0\0\1", b"\0\0\1").split(b"\0\0\1")[1:]]
 
 
-def ball(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    blue, green, red = (picture[..., channel].astype(float) for channel in range(3))
-    weight = np.clip(green - np.maximum(blue, red) - 40.0, 0.0, None)
-    rows, columns = np.indices(weight.shape)
-    return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
-
-
 def test_every_frame_decodes_and_shows_the_ball_at_its_time(video: Path) -> None:
     view = view_of(CAMERA)
     assert view is not None
@@ -88,7 +82,7 @@ def test_every_frame_decodes_and_shows_the_ball_at_its_time(video: Path) -> None
     assert len(decoded) == 65
     for number, (stamp, picture) in enumerate(decoded):
         assert abs(stamp - EPOCH - 1e9 * (100.0 + number / 30.0)) < 1e3
-        assert np.abs(ball(picture) - view.project(tip_at(number)[None])[0]).max() < 1.0
+        assert np.abs(ball_centre(picture) - view.project(tip_at(number)[None])[0]).max() < 1.0
 
 
 def test_each_message_is_one_frame_and_each_key_frame_starts_with_its_parameter_sets(video: Path) -> None:
@@ -105,7 +99,7 @@ def test_each_message_is_one_frame_and_each_key_frame_starts_with_its_parameter_
     assert sum(found) + len(decoder.decode(None)) == 35
 
 
-def test_other_readers_decode_messages_and_calibration(video: Path) -> None:
+def test_video_is_decoded_by_other_readers_with_its_calibration(video: Path) -> None:
     with video.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         summary = reader.get_summary()

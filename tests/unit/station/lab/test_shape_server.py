@@ -1,6 +1,8 @@
 """The true shape that the virtual lab gives to simulated cameras, and its endpoint."""
 
+import math
 import socket
+import struct
 
 import numpy as np
 import pytest
@@ -64,7 +66,8 @@ def test_packed_shape_is_unpacked_without_loss_and_damaged_datagrams_are_ignored
     assert found is not None
     assert found.time == 12.5
     assert all(np.array_equal(a, b) for a, b in zip(found.shape, shape, strict=True))
-    for damaged in (b"", datagram[:-1], datagram[:48], datagram[:-8]):
+    no_number = datagram[:8] + struct.pack("<d", math.nan) + datagram[16:]
+    for damaged in (b"", datagram[:-1], datagram[:48], datagram[:-8], no_number):
         assert unpack(damaged) is None
 
 
