@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from station.config.strict import ConfigError, Name, Row, Strict
+from station.config.strict import ConfigError, Name, Row, Strict, Vector
 from station.devices.config import Mount
 
 #: Value of `device` for a camera that the virtual lab simulates.
@@ -44,6 +44,12 @@ class SimulationFile(Strict):
     """fraction of the frames that do not arrive, at most 1 [-]"""
     ball: Annotated[float, Field(ge=0.0, le=0.02)] = 0.003
     """diameter of the ball at the tip, at most 0.02; 0: no ball [m]"""
+    focal_error: Annotated[float, Field(ge=-0.1, le=0.1)] = 0.0
+    """relative difference of the true focal lengths from those of `lens`, at most 0.1 [-]"""
+    position_error: Vector = (0.0, 0.0, 0.0)
+    """difference of the true position from that of `pose`, in the world [m]"""
+    rotation_error: Vector = (0.0, 0.0, 0.0)
+    """rotation from the camera's frame at its true pose to that at `pose`: axis times angle [rad]"""
 
 
 class CameraFile(Strict):

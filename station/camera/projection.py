@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
-from station.camera.config import CameraFile, LensFile
+from station.camera.config import CameraFile, LensFile, SimulationFile
 from station.devices.config import Mount
 
 #: Smallest distance in front of a camera at which a point is projected [m].
@@ -51,3 +51,14 @@ class CameraView(NamedTuple):
 def view_of(camera: CameraFile) -> CameraView | None:
     """Return the view of a camera; None if lens or pose are not known."""
     return None if camera.view is None else CameraView.of(*camera.view)
+
+
+def true_view_of(camera: CameraFile) -> CameraView | None:
+    """Return the view of a simulated camera with its errors, which only the virtual lab knows."""
+    view, errors = view_of(camera), camera.simulation or SimulationFile()
+    if view is None:
+        return None
+    matrix = view.matrix.copy()
+    matrix[[0, 1], [0, 1]] *= 1.0 + errors.focal_error
+    turn = Mount(rotation_vector=errors.rotation_error).rotation
+    return CameraView(matrix, view.distortion, turn.T @ view.rotation, view.position + np.array(errors.position_error))

@@ -13,7 +13,7 @@ import numpy as np
 from core.errors import CtrError
 from core.robot.robot import Robot
 from station.camera.config import CameraFile, SimulationFile
-from station.camera.projection import view_of
+from station.camera.projection import true_view_of
 from station.control.clock import StationClock
 from station.control.ring import SHAPE_PORT, Ring
 from station.lab.plant import TubeShape
@@ -125,7 +125,7 @@ class SimulatedCamera:
     def __init__(self, camera: CameraFile, robot: Robot, ring: Ring, clock: StationClock, seed: int) -> None:
         self._camera, self._ring, self._clock = camera, ring, clock
         self._simulation = camera.simulation or SimulationFile()
-        view = view_of(camera)
+        view = true_view_of(camera)
         if view is None:
             raise CameraLost("a simulated camera needs a lens and a pose")
         self._renderer = Renderer(robot, camera, view, seed)

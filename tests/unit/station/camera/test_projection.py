@@ -5,8 +5,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.camera.config import CameraFile, LensFile
-from station.camera.projection import CameraView, view_of
+from station.camera.config import CameraFile, LensFile, SimulationFile
+from station.camera.projection import CameraView, true_view_of, view_of
 from station.devices.config import Mount
 
 COEFFICIENT = st.floats(-0.3, 0.3)
@@ -38,3 +38,19 @@ def test_point_behind_the_camera_has_no_pixel() -> None:
     view = view_of(CameraFile())
     assert view is not None
     assert np.isnan(view.project(np.array([[0.0, -1.0, 0.1]]))).all()
+
+
+def test_errors_of_a_simulated_camera_move_the_picture_by_their_size() -> None:
+    """A rotation about y by 1 degree moves the picture by f tan(1 deg); 1 % of focal length scales it."""
+    camera = CameraFile(simulation=SimulationFile(rotation_error=(0.0, np.radians(1.0), 0.0)))
+    view = view_of(camera)
+    assert view is not None
+    ahead = view.position + view.rotation.T @ (0.0, 0.0, 0.4)
+    turned, longer = true_view_of(camera), true_view_of(CameraFile(simulation=SimulationFile(focal_error=0.01)))
+    assert turned is not None
+    assert longer is not None
+
+    moved = turned.project(ahead[None])[0] - view.project(ahead[None])[0]
+    assert np.allclose(moved, (-640.0 * np.tan(np.radians(1.0)), 0.0), atol=1e-9)
+    side = ahead + view.rotation.T @ (0.1, 0.0, 0.0)
+    assert np.allclose(longer.project(side[None])[0], view.project(side[None])[0] + (0.01 * 640.0 * 0.25, 0.0))
