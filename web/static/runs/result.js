@@ -169,7 +169,7 @@ function differences(objects) {
   const [a, b] = objects.map((one) => new Map(flat(one)));
   return [...new Set([...a.keys(), ...b.keys()])].filter((key) => a.get(key) !== b.get(key)).map((key) => {
     const [x, y] = [a.get(key), b.get(key)], difference = typeof x === "number" && typeof y === "number" ? readable(y - x) : "≠";
-    return make("tr", {}, make("td", { className: "any" }, key), text(readable(x)), text(readable(y)), text(difference));
+    return make("tr", {}, make("td", { className: "any", title: key }, key.replaceAll("_", " ")), text(readable(x)), text(readable(y)), text(difference));
   });
 }
 
