@@ -160,6 +160,7 @@ class FoxgloveServer:
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         listening = socket.create_server((address.host, address.port), family=family)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # inherited by every connection
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # inherited; otherwise TCP joins the messages
         port = int(listening.getsockname()[1])
         # `Access` only checks the connections here; it passes none on to an application.
         access = Access(_no_endpoint, address.host, port, self._tokens, ALLOWED_ORIGINS)
