@@ -1,10 +1,10 @@
 // Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
-import { $, benchNote, button, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, unit } from "../page/station.js";
+import { $, benchNote, button, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, setText, unit } from "../page/station.js";
 import { home } from "../page/header.js";
 import { isOpen, onTab, poll } from "../page/tabs.js";
 import { jogWhileHeld, mayJog } from "../jog/jog.js";
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 
 const buttons = {
   connect: button("Connect", () => sendCommand("POST", "/api/connect", {})),

@@ -1,12 +1,12 @@
 // Faults: what is wrong and what to do, the log of commands, and fault injection in the virtual lab.
-import { $, button, make, mayCommand, note, onStatus, replaceChanged, request, sendCommand, timeOfDay } from "../page/station.js";
+import { $, button, make, mayCommand, note, onStatus, replaceChanged, request, rigAnswer, sendCommand, timeOfDay } from "../page/station.js";
 import { actionButton } from "../page/header.js";
 import { form, row, schemas, variants } from "../page/form.js";
 import { poll } from "../page/tabs.js";
 
 const summary = make("div", { "aria-live": "polite" }), log = make("table");
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 const kinds = await request("GET", "/api/faults");
 const kind = make("select", { "aria-label": "fault" }, ...kinds.map((entry) => make("option", { value: entry.kind }, entry.kind.replaceAll("_", " "))));
 const device = make("select", { "aria-label": "device" });

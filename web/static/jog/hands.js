@@ -1,5 +1,5 @@
 // Jog the tip with a gamepad or a 3D mouse while a dead man's button is held, or with keys while their field has the focus.
-import { $, latest, make, onStatus, request, setText } from "../page/station.js";
+import { $, latest, make, onStatus, rigAnswer, setText } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { isOpen } from "../page/tabs.js";
 import { isHeld, mayJog, release, speed, startJogging } from "./jog.js";
@@ -34,7 +34,7 @@ const stickInput = (pad) => bounded(layout(pad).axes.map(([, axis, sign]) => bey
 const pressed = (pad) => layout(pad).buttons.some((number) => pad.buttons[number]?.pressed);
 const connectedPads = () => [...(navigator.getGamepads?.() ?? [])].filter((pad) => pad?.connected);
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 const maxSpeed = speed("at most", "m/s", rig.tip_speed, 0.3);
 /** Return the tip's velocity [m/s] for an input, scaled by the speed slider. */
 const velocity = (input) => input.map((component) => component * maxSpeed.value());

@@ -1,6 +1,6 @@
 // Jog: the robot moves only while a button is held; and motion to a joint pose by numbers. Each jog command expires after
 // 0.3 s, so the robot also stops when the page is lost.
-import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, tidy, unit, Refused } from "../page/station.js";
+import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, tidy, unit, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { onTab, openTab } from "../page/tabs.js";
 import { poseText, row } from "../page/form.js";
@@ -106,7 +106,7 @@ const jointText = (joint, status) => {
   return value === undefined ? "" : status.tip_estimated === null ? "unknown" : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
 };
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 const topSpeed = (motion) => Math.min(...rig.joints.filter((one) => one.motion === motion).map((one) => one.speed));
 const turning = speed("turn at", "rad/s", topSpeed("rotation"), 0.26);
 const sliding = speed("slide at", "m/s", topSpeed("translation"), 0.26);

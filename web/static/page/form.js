@@ -1,12 +1,12 @@
 // Forms built from the station's description of its requests (OpenAPI): names, units, bounds, defaults.
 // The page shows millimetres and degrees; requests use SI.
-import { request, make, tidy, unit } from "./station.js";
+import { make, once, tidy, unit } from "./station.js";
 
 const XYZ = ["x", "y", "z"];
 
-let description = null;
+const description = once("/api/openapi.json");
 /** The schemas of all requests, by name. */
-export const schemas = async () => (description ??= (await request("GET", "/api/openapi.json")).components.schemas);
+export const schemas = async () => (await description()).components.schemas;
 
 /** Format a joint pose: "outer rotation 90 °, ...". `joints` are the joints of the pose's robot. */
 export const poseText = (joints, pose) => joints.map((joint) => {

@@ -1,5 +1,5 @@
 // The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
-import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, request, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S } from "./station.js";
+import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S } from "./station.js";
 import { poseText } from "./form.js";
 import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
@@ -15,7 +15,7 @@ const LATCHED = {
 // ---- the next action that the station suggests
 
 export async function home() {
-  const rig = await request("GET", "/api/rig");
+  const rig = await rigAnswer();
   const workingPose = rig.working_pose === null ? null
     : make("p", {}, `Then the robot goes to its working pose: ${poseText(rig.joints, rig.working_pose)}.`);
   const clear = make("label", {}, make("input", { type: "checkbox" }), "The path is clear: I have checked that the tubes can be retracted and turned without touching anything.");

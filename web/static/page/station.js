@@ -110,6 +110,14 @@ export async function request(method, path, body, timeout) {
   return text === "" ? null : read();
 }
 
+/** Return a function that requests `path` at its first call and returns the same answer at all others; a refusal is not kept. */
+export function once(path) {
+  let answer = null;
+  return () => (answer ??= request("GET", path).catch((error) => { answer = null; throw error; }));
+}
+/** The joints, devices and bounds of the rig, which do not change while a station runs. */
+export const rigAnswer = once("/api/rig");
+
 /**
  * Keep a socket to /api/`path` connected. Call `onMessage(value)` with each message and `onOpen()` after each connection;
  * return the function that sends a text.

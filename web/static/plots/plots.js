@@ -1,10 +1,10 @@
 // Plots of the live telemetry: choose the values, pause, zoom into a time interval.
-import { $, button, make, request, unit } from "../page/station.js";
+import { $, button, make, rigAnswer, unit } from "../page/station.js";
 import { isOpen, onTab } from "../page/tabs.js";
 import { Chart } from "../page/chart.js";
 import { directionError, error, HISTORY_S, samples } from "../page/telemetry.js";
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 
 /** Traces of a vector's components and its size: `valueAt` returns the drawn value, `raw` the unfiltered one if there is one. */
 const components = (valueAt, raw) => [...xyz(valueAt, raw), { name: "size", value: (sample) => { const v = valueAt(sample); return v ? Math.hypot(...v) : NaN; }, on: false }];

@@ -1,5 +1,5 @@
 // Run: the station's experiments, and free motions with custom parameters.
-import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
+import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { form, poseText, schemas, sentence, variants } from "../page/form.js";
 import { card, head, openTab } from "../page/tabs.js";
@@ -54,6 +54,8 @@ async function startRun(body, shownWarnings = []) {
 const missingTarget = (kind) => (kind === "follow" && !rig.can_track_target ? NO_TARGET : "");
 
 async function overview() {
+  // The descriptions come at once; the check of every motion on the model takes seconds, and longer on a busy computer.
+  const described = loaded ?? request("GET", "/api/experiments?check=false").catch((error) => error);
   const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
   const experiments = make("div", {}, make("p", { className: "dim" }, "loading …"));
   submitButton = null;
@@ -65,10 +67,10 @@ async function overview() {
     // The API description contains StreamAgreement only if the gateway accepts targets.
     all.StreamAgreement && card("external target", [STREAM_DESCRIPTION], () => streamForm(all))),
   );
-  if (loaded !== null) showExperiments(experiments, loaded);
   try {
-    // The descriptions come at once; the check of every motion on the model takes seconds, and longer on a busy computer.
-    if (loaded === null) showExperiments(experiments, await request("GET", "/api/experiments?check=false"));
+    const first = await described;
+    if (first instanceof Error) throw first;
+    showExperiments(experiments, first);
     const now = await request("GET", "/api/experiments"); // a user may have edited experiment files meanwhile
     if (JSON.stringify(now) !== JSON.stringify(loaded)) showExperiments(experiments, loaded = now);
   } catch (error) {
@@ -272,5 +274,5 @@ function refresh() {
 }
 onStatus(refresh);
 
-rig = await request("GET", "/api/rig");
+rig = await rigAnswer();
 await overview();

@@ -1,5 +1,5 @@
 // Table of waypoints: added at the tip, typed, or loaded from a file; drawn, and checked on the model before the start.
-import { $, button, inPageUnits, latest, make, mayCommand, onStatus, request, setText, tidy, Refused } from "../page/station.js";
+import { $, button, inPageUnits, latest, make, mayCommand, onStatus, request, rigAnswer, setText, tidy, Refused } from "../page/station.js";
 import { step, svg } from "../page/chart.js";
 import { add, addRow, canUndo, change, csvOf, edit, firstError, move, onChange, origin, parseCsv, remove, rows, setStartTip, setTimes, undo, UNITS } from "./waypoint_list.js";
 
@@ -12,7 +12,7 @@ const COLUMN_TITLES = ["time s", "x mm", "y mm", "z mm"];
 /** Format a value for a cell: seconds in the first column, millimetres in the others. */
 const cellText = (value, column) => (Number.isFinite(value) ? tidy(Number((column ? value / MM : value).toFixed(3))) : "");
 
-const rig = await request("GET", "/api/rig");
+const rig = await rigAnswer();
 let table = null; // the table shown on the page
 
 /** Speed between waypoints until the user chooses another one [m/s]. */

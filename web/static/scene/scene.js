@@ -1,5 +1,5 @@
 // The scene in its frame, which is loaded under this page's identity and reconnects; and the switches below the scene.
-import { $, client, latest, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+import { $, client, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand } from "../page/station.js";
 
 const trueDiameter = make("input", { type: "checkbox", name: "true_diameter" });
 $("switches").querySelector("div").append(make("label", { title: "Draw the tubes at their true diameter instead of magnified" }, trueDiameter, "true diameter"));
@@ -73,4 +73,4 @@ setInterval(refresh, 600);
 // Old data does not disable the switches: on a busy computer they would flicker, and the station checks every change.
 onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = !mayCommand(status); });
 refresh();
-request("GET", "/api/rig").then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });
+rigAnswer().then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });
