@@ -36,8 +36,10 @@ from core.control.velocity_ik import (
     zero_velocity,
 )
 from core.errors import NotFinite
+from core.model.backbone import backbone
 from core.model.solution import fields
-from core.robot.limits import Limits, velocity_bounds
+from core.model.statics import Statics
+from core.robot.limits import Backbone, Limits, velocity_bounds
 from core.robot.robot import Array
 
 
@@ -82,6 +84,7 @@ def command(
     joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
     drift: Array = OBSERVER_DRIFT,
     aim: TaskSelection = POSITION_ONLY, tasks: Sequence[Task] = (), null_space: NullSpace | None = None,
+    statics: Statics | None = None,
 ) -> CommandResult:  # fmt: skip
     """Return the joint velocities that move the tip toward a setpoint.
 
@@ -99,6 +102,7 @@ def command(
         aim: controlled coordinates of the tip; custom loops control the position only.
         tasks: tasks in addition to the position, with built-in loops.
         null_space: objective for joint motions that do not move the tip; None: the preferred joint velocity is zero.
+        statics: model of the controller, which limits need that keep the tubes out of regions.
 
     Raises:
         NotFinite: the requested tip velocity or the Jacobian is not finite.
@@ -108,7 +112,7 @@ def command(
     n = joints.size
     rows, room = no_rows(n), NO_BOUNDS
     if limits.others:
-        rows, room = limits.rows(_CurrentConfiguration(joints, now, force))
+        rows, room = limits.rows(_CurrentConfiguration(joints, now, force, statics))
     if strategy.laws is None:
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
         found = inverse_at(limits, joints, *task, rows, room)
@@ -129,7 +133,9 @@ def command(
     return found
 
 
-def joint_command(limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array) -> CommandResult:
+def joint_command(
+    limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array, statics: Statics | None = None
+) -> CommandResult:
     """Return the requested joint velocity (n,) inside the limits, under the estimated `force` (3,) on the tip [N].
 
     Each joint can stop in its travel. A limit of several joints slows all joints by the same factor, which keeps the
@@ -143,7 +149,7 @@ def joint_command(limits: Limits, joints: Array, now: Estimate, force: Array, re
     velocity = np.minimum(np.maximum(requested, lower), upper)
     at_bound, at_row = np.sign(requested - velocity), NO_BOUNDS
     if limits.others and velocity.any():
-        rows, room = limits.rows(_CurrentConfiguration(joints, now, force))
+        rows, room = limits.rows(_CurrentConfiguration(joints, now, force, statics))
         toward = rows @ velocity
         at_row = (toward > room).astype(float)
         if at_row.any():
@@ -154,10 +160,11 @@ def joint_command(limits: Limits, joints: Array, now: Estimate, force: Array, re
 class _CurrentConfiguration:
     """State of the robot in one tick, for limits; Jacobian and tip are computed only when a limit reads them."""
 
-    __slots__ = ("_now", "force", "joints")
+    __slots__ = ("_backbone", "_now", "_statics", "force", "joints")
 
-    def __init__(self, joints: Array, now: Estimate, force: Array) -> None:
-        self.joints, self._now, self.force = joints, now, force
+    def __init__(self, joints: Array, now: Estimate, force: Array, statics: Statics | None) -> None:
+        self.joints, self._now, self.force, self._statics = joints, now, force, statics
+        self._backbone: Backbone | None = None
 
     @property
     def jacobian(self) -> Array:
@@ -168,6 +175,14 @@ class _CurrentConfiguration:
     def tip(self) -> Array:
         """Observed tip position (3,) [m]."""
         return self._now.observed.tip
+
+    @property
+    def backbone(self) -> Backbone:
+        """Points along the loaded tubes, bent to the observed tip."""
+        if self._backbone is None:
+            assert self._statics is not None, "a limit of regions needs the model"  # noqa: S101
+            self._backbone = backbone(self._statics, self._now.loaded, self._now.observed.tip)
+        return self._backbone
 
 
 def _custom_loops(

@@ -15,9 +15,11 @@ import numpy as np
 from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation, task_rows
 from core.control.trajectories import Directions, Trajectory
 from core.control.velocity_ik import SIGMA_FLOOR_M_S, inverse
-from core.errors import Cancelled, CtrError, Unreachable
+from core.errors import Cancelled, CtrError, PoseError, Unreachable
+from core.model.backbone import backbone
 from core.model.statics import Solution, Statics
-from core.robot.limits import Configuration, Limits
+from core.robot.keep_out import KeepOut
+from core.robot.limits import Backbone, Limits
 from core.robot.robot import Array
 
 #: Largest distance by which the simulated tip may fall behind its path [m].
@@ -30,9 +32,28 @@ NEAR_SINGULAR_M_S = 4.0 * SIGMA_FLOOR_M_S
 APPROACH_TIME_S = 20.0
 
 
-def situation(at: Solution) -> Configuration:
-    """Return the quantities of a solved pose from which limits are evaluated."""
-    return Configuration(at.joints, at.jacobian[:3], at.tip, at.wrench[:3])
+class SolvedConfiguration:
+    """Limit context of a solved pose."""
+
+    def __init__(self, statics: Statics, at: Solution, tip: Array | None = None) -> None:
+        """Store a solution; `tip` is the observed position of the tip (3,) [m], by default the model's."""
+        self._statics, self._at, self._observed = statics, at, tip
+        self.joints, self.force = at.joints, at.wrench[:3]
+
+    @property
+    def jacobian(self) -> Array:
+        """Jacobian (3, n) of the loaded tip's position [m/rad or m/m]."""
+        return self._at.jacobian[:3]
+
+    @property
+    def tip(self) -> Array:
+        """Position of the tip (3,) [m]."""
+        return self._at.tip if self._observed is None else self._observed
+
+    @cached_property
+    def backbone(self) -> Backbone:
+        """Points along the loaded tubes."""
+        return backbone(self._statics, self._at, self._observed)
 
 
 @dataclass(frozen=True)
@@ -43,8 +64,8 @@ class _Unloaded:
     joints: Array
 
     @cached_property
-    def _at(self) -> Configuration:
-        return situation(self.statics.solve(self.joints, np.zeros(6)))
+    def _at(self) -> SolvedConfiguration:
+        return SolvedConfiguration(self.statics, self.statics.solve(self.joints, np.zeros(6)))
 
     @property
     def jacobian(self) -> Array:
@@ -60,6 +81,11 @@ class _Unloaded:
     def force(self) -> Array:
         """Zero force (3,) [N]: the pose is unloaded."""
         return np.zeros(3)
+
+    @property
+    def backbone(self) -> Backbone:
+        """Points along the unloaded tubes."""
+        return self._at.backbone
 
 
 def check_pose(statics: Statics, limits: Limits, joints: Array) -> None:
@@ -103,7 +129,7 @@ def check_reach(
     """
     limits.check(joints)
     walk = _Walk(statics, limits, joints, force, aim)
-    limits.check_all(situation(walk.at))
+    limits.check_all(SolvedConfiguration(statics, walk.at))
     start, heading = walk.at.tip, walk.at.rotation[:, 2]
     repeats = duration if force is not None else min(duration, trajectory.period)
     step = min(CHECK_INTERVAL_S, trajectory.period / 40.0) if trajectory.period > 0.0 else CHECK_INTERVAL_S
@@ -149,7 +175,7 @@ class _Walk:
         lower, upper = limits.velocity_bounds(at.joints)
         rows, room = None, np.zeros(0)
         if limits.others:
-            rows, room = limits.rows(situation(at))
+            rows, room = limits.rows(SolvedConfiguration(self._statics, at))
         wrench = self._wrench(time)
         # The joints must also compensate the motion that the load causes in this step.
         moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
@@ -163,8 +189,19 @@ class _Walk:
             self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
+        self._check_regions(time)
         self._left = task_rows(self._aim, self._miss(target, pointing)[:, None], self.at.rotation)[:, 0]
         return float(np.linalg.norm(self._left))
+
+    def _check_regions(self, time: float) -> None:
+        """Reject a pose at which a load has pushed the tubes into a region, which the limits of velocities allow."""
+        context = SolvedConfiguration(self._statics, self.at)
+        for limit in self._limits.others:
+            if isinstance(limit, KeepOut):
+                try:
+                    limit.check(context)
+                except PoseError as error:
+                    raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
 
     def _miss(self, target: Array, pointing: Array) -> Array:
         """Return the displacement [m] and rotation [rad] (6,) from the tip to the target."""

@@ -295,12 +295,12 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         found = command(
             controller.strategy, controller.feedback, limits,
             sample.joints, now, force, followed, tip, memory.origin, drift,
-            controller.aim, tasks, null_space,
+            controller.aim, tasks, null_space, controller.statics,
         )  # fmt: skip
     else:
         # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity
-        found = joint_command(limits, sample.joints, now, force, velocity)
+        found = joint_command(limits, sample.joints, now, force, velocity, controller.statics)
         order = Setpoint(tip - memory.origin, np.zeros(3))
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # earlier frames were checked in earlier ticks
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):

@@ -311,6 +311,17 @@ class Statics:
         return (*self._fixed, *self._widths)
 
     @cached_property
+    def outer_radii(self) -> Array:
+        """Outer radii of the tubes (q,) [m], the innermost first."""
+        return np.array([0.5 * tube.outer_diameter for tube in self.robot.tubes])
+
+    @cached_property
+    def max_sections(self) -> int:
+        """Largest number of cross-sections that a pass along the tubes records."""
+        longest = max(tube.length for tube in self.robot.tubes)
+        return int(longest / self._scheme.sublink) + 4 + 2 * int(self.robot.layout.counts.sum())
+
+    @cached_property
     def _scheme(self) -> Scheme:
         return Scheme(INTEGRATORS[self.integrator], self.sublink or DEFAULT_SUBLINKS_M[self.integrator])
 

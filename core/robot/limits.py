@@ -9,7 +9,7 @@ is a tip speed that falls to 0 at the largest force. No limit ever requires a mo
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,17 @@ BRAKING_TIME_CONSTANT_S = 0.25
 #: Smallest distance between tubes that could collide [m]. The distance is needed because the stages receive commands
 #: one at a time and keep moving between commands.
 MIN_TUBE_DISTANCE_M = 5e-4
+
+T = TypeVar("T")
+
+
+class Backbone(NamedTuple):
+    """Points along the loaded tubes from the plate to the tip, world frame."""
+
+    points: Array  #: (m, 3) positions on the centre line [m]
+    radii: Array  #: (m,) radius of the outermost tube at each point [m]
+    jacobian: Array  #: (m, 3, n) derivative of each point by the joints [m/rad or m/m]
+    along: int  #: number of points from the plate to the tip; those after them are the ends of outer tubes
 
 
 class LimitContext(Protocol):
@@ -48,6 +59,11 @@ class LimitContext(Protocol):
         """Force on the tip (3,), world frame [N]."""
         ...
 
+    @property
+    def backbone(self) -> Backbone:
+        """Points along the loaded tubes."""
+        ...
+
 
 class Configuration(NamedTuple):
     """A `LimitContext` whose values were all computed beforehand."""
@@ -56,6 +72,7 @@ class Configuration(NamedTuple):
     jacobian: Array
     tip: Array
     force: Array
+    backbone: Backbone = Backbone(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 0)), 0)
 
 
 class Limit(Protocol):
@@ -327,7 +344,13 @@ class ForceLimit:
 
 
 #: Types of the built-in limits; unlike those of custom limits, their rows need no check at every tick.
-_BUILT_IN_LIMITS = (TubeOrder, Workspace, ForceLimit)
+_BUILT_IN_LIMITS: set[type] = {TubeOrder, Workspace, ForceLimit}
+
+
+def built_in(limit: type[T]) -> type[T]:
+    """Register a type of limits of this package."""
+    _BUILT_IN_LIMITS.add(limit)
+    return limit
 
 
 def _rows_of(limit: Limit, at: LimitContext) -> tuple[Array, Array]:

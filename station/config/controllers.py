@@ -1,6 +1,7 @@
 """Settings of the controller in files and REST requests: strategy, gains, filters and delays."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
@@ -23,6 +24,7 @@ from core.model.statics import (
     suitable_integrator,
 )
 from core.robot.robot import Robot
+from station.config.regions import RegionFile, keep_out
 from station.config.robots import RobotFile
 from station.config.strict import NotNegative, Row, Strict
 
@@ -153,12 +155,18 @@ class ControllerFile(Strict):
                         f" use '{instead}'"
                     )
 
-    def controller(self, robot: RobotFile, present: Present = Present()) -> Controller:  # noqa: B008 - immutable
-        """Return the controller of a robot on a bench with these devices.
+    def controller(
+        self,
+        robot: RobotFile,
+        present: Present = Present(),  # noqa: B008 - immutable
+        regions: Sequence[RegionFile] = (),
+    ) -> Controller:
+        """Return the controller of a robot on a bench with these devices and forbidden or allowed `regions`.
 
         Raises:
             DescriptionError: the strategy or inner loop is unknown, needs a device that the bench does not have, or a
                 gain, bandwidth or delay is out of range.
+            ConfigError: the file of a region's mesh cannot be read, or two regions have one name.
         """
         self.check_devices(present)
         command_interval = (
@@ -173,11 +181,12 @@ class ControllerFile(Strict):
             if self.observer_bandwidth is None
             else self.observer_bandwidth
         )
+        limits = robot.limits()
         moments = self.load == "wrenches" and present.sensors
         return Controller(
             self.model(robot.robot()),
             strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
-            robot.limits(),
+            replace(limits, others=(*limits.others, *keep_out(regions))),
             Estimator(
                 RateFilter(PERIOD_S, USUAL_BANDWIDTH if self.filter_bandwidth is None else self.filter_bandwidth),
                 Observer(PERIOD_S, bandwidth=bandwidth),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
 from threading import Lock
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, cast
 
 from pydantic import Field
 
@@ -19,6 +19,7 @@ from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import Motion, Orders
+from station.config.regions import Regions
 from station.config.robots import RobotFile, load_robot, start_pose
 from station.config.strict import (
     PRESETS,
@@ -81,6 +82,8 @@ class CaseFile(Strict):
     """folder of a calibration by `calibrate`; if empty, the described values are used"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()
     """faults of the simulated devices"""
+    keep_out: Regions = ()
+    """regions that the tubes must not enter, or must not leave"""
 
     @property
     def counted_from(self) -> float:
@@ -250,7 +253,9 @@ def _case(
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
         calibration = BenchCalibration.load(Path(file.calibration), robot) if file.calibration else None
         # The controller gets the calibrated robot. The lab keeps simulating its own true robot, which differs from it.
-        controller = file.controller.controller(robot if calibration is None else calibration.robot, lab.present)
+        controller = file.controller.controller(
+            robot if calibration is None else calibration.robot, lab.present, file.keep_out
+        )
         if calibration is not None:
             controller = calibration.applied(controller)
         check_pose(controller.statics, controller.limits, start)
@@ -272,7 +277,9 @@ def _case(
         described = Case(name, file, robot, lab, controller, orders, start, registration)
         if checked is None:
             return described
-        motion = repr((file.robot, file.calibration, settings, file.start, file.trajectory, file.duration))
+        motion = repr(
+            (file.robot, file.calibration, settings, file.start, file.trajectory, file.duration, file.keep_out)
+        )
         if motion not in checked:
             orders.check(controller, start, file.duration)
             checked[motion] = ()
@@ -316,4 +323,8 @@ def _resolve_paths(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         result = resolved(result, "calibration", "")
     if isinstance(motion := result.get("trajectory"), Mapping):
         result["trajectory"] = resolved(motion, "file", "")
+    if isinstance(regions := result.get("keep_out"), list):
+        result["keep_out"] = [
+            resolved(one, "file", "") if isinstance(one, Mapping) else one for one in cast(list[Any], regions)
+        ]
     return result

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from core.control.reachability import check_pose, situation
+from core.control.reachability import SolvedConfiguration, check_pose
 from core.control.step import Controller
 from core.errors import CtrError, DescriptionError, PoseError
-from core.model.statics import Solution
+from core.model.statics import Solution, Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.config.motions import (
@@ -50,6 +50,8 @@ def incompatibility(case: Case, bench: Rig) -> str:
         case.file.controller.check_devices(bench.present)
     except DescriptionError as error:
         return str(error)
+    if unknown := [one.name for one in case.file.keep_out if one not in bench.keep_out]:
+        return f"the station does not know its region '{unknown[0]}'; add the case's [[keep_out]] to the station's file"
     if case.orders.follow is not None and (missing := missing_target(bench)):
         return missing
     if case.file.faults and bench.devices is not None:
@@ -136,7 +138,7 @@ def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
         position, before = f"{start.title}: after {100 * number / steps:.0f} % of the path", at
         try:
             at = statics.solve(joints + number / steps * travel, np.zeros(6), before)
-            inside = _is_inside(limits, at, required=inside)
+            inside = _is_inside(statics, limits, at, required=inside)
         except CtrError as error:
             raise ConfigError(f"{position}: {error}; go there via another pose") from None
         # A snap between two checked poses appears as a large prediction error of the Jacobian.
@@ -148,10 +150,10 @@ def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
             )
 
 
-def _is_inside(limits: Limits, at: Solution, *, required: bool) -> bool:
+def _is_inside(statics: Statics, limits: Limits, at: Solution, *, required: bool) -> bool:
     """Return whether the pose `at` satisfies every limit; raise PoseError if it does not and `required` is set."""
     try:
-        limits.check_all(situation(at))
+        limits.check_all(SolvedConfiguration(statics, at))
     except PoseError:
         if required:
             raise

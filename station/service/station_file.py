@@ -16,6 +16,7 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 from station.camera.config import CameraFile, CamerasFile, check_cameras
 from station.config.controllers import ControllerFile, Present, default_controller
+from station.config.regions import RegionFile, Regions, resolved
 from station.config.robots import RobotFile, load_robot, named_pose
 from station.config.strict import ConfigError, Format, Strict, check, line_reference, read_toml, use_experiments
 from station.control.bench_calibration import BenchCalibration
@@ -50,6 +51,7 @@ class Rig:
     lab_name: str = "gentle"  #: preset or file of the lab; empty with real devices
     robot_name: str = "paper"  #: preset or file of the robot
     cameras: Mapping[str, CameraFile] = field(default_factory=dict[str, CameraFile])  #: cameras by name
+    keep_out: tuple[RegionFile, ...] = ()  #: regions that the tubes must not enter, or must not leave
 
     @property
     def video_bytes_per_s(self) -> float:
@@ -74,8 +76,8 @@ class Rig:
                 bandwidth is out of range.
         """
         if self.calibration is None:
-            return file.controller(self.robot, self.present)
-        return self.calibration.applied(file.controller(self.calibration.robot, self.present))
+            return file.controller(self.robot, self.present, self.keep_out)
+        return self.calibration.applied(file.controller(self.calibration.robot, self.present, self.keep_out))
 
     @property
     def present(self) -> Present:
@@ -216,6 +218,8 @@ class StationFile(Strict):
     """rate of the station's clock"""
     cameras: CamerasFile = Field(default_factory=dict)
     """cameras that look at the robot; they need the extra `camera`"""
+    keep_out: Regions = ()
+    """regions that the tubes must not enter, or must not leave, in every motion"""
 
     @model_validator(mode="before")
     @classmethod
@@ -246,11 +250,12 @@ class StationFile(Strict):
             present = lab.present if self.devices == "virtual" else self.devices.present
             controller = self.controller or default_controller(present)
             park = self._park(robot)
-            check_pose(Statics(robot.robot()), robot.limits(), park)
+            regions = tuple(resolved(one, self._folder) for one in self.keep_out)
             folder = None if self.calibration is None else self._folder / self.calibration
             calibration = None if folder is None else BenchCalibration.load(folder, robot)
             assumed = robot if calibration is None else calibration.robot
-            controller.controller(assumed, present)
+            limits = controller.controller(assumed, present, regions).limits
+            check_pose(Statics(robot.robot()), limits, park)
             devices = None if self.devices == "virtual" else self.clock.with_patience(self.devices)
             unstoppable = ""
             if devices is not None:
@@ -278,6 +283,7 @@ class StationFile(Strict):
             lab_name=str(self.lab) if devices is None else "",
             robot_name=self.robot,
             cameras=self.cameras,
+            keep_out=regions,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )
 
