@@ -39,6 +39,7 @@ from core.errors import NotFinite
 from core.model.backbone import backbone
 from core.model.solution import fields
 from core.model.statics import Statics
+from core.robot.keep_out import with_retreat
 from core.robot.limits import Backbone, Limits, velocity_bounds
 from core.robot.robot import Array
 
@@ -111,12 +112,14 @@ def command(
     """
     n = joints.size
     rows, room = no_rows(n), NO_BOUNDS
+    context = _CurrentConfiguration(joints, now, force, statics)
     if limits.others:
-        rows, room = limits.rows(_CurrentConfiguration(joints, now, force, statics))
+        rows, room = limits.rows(context)
     if strategy.laws is None:
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
         found = inverse_at(limits, joints, *task, rows, room)
-        return CommandResult(found.velocity, u_int, found.sigma, found.at_bound, found.at_row)
+        velocity = with_retreat(limits, context, room, found.velocity)
+        return CommandResult(velocity, u_int, found.sigma, found.at_bound, found.at_row)
     others, no_objective = _nothing_else(n)
     null_space = no_objective if null_space is None else null_space
     if tasks:
@@ -130,6 +133,8 @@ def command(
         setpoint.position, setpoint.velocity, tip, origin, drift, *others, rows, room, *null_space, *found,
     ):  # fmt: skip
         raise NotFinite(f"requested tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
+    if not room.all():
+        found.velocity[:] = with_retreat(limits, context, room, found.velocity)
     return found
 
 

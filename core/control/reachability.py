@@ -18,7 +18,7 @@ from core.control.velocity_ik import SIGMA_FLOOR_M_S, inverse
 from core.errors import Cancelled, CtrError, PoseError, Unreachable
 from core.model.backbone import backbone
 from core.model.statics import Solution, Statics
-from core.robot.keep_out import KeepOut
+from core.robot.keep_out import KeepOut, with_retreat
 from core.robot.limits import Backbone, Limits
 from core.robot.robot import Array
 
@@ -173,20 +173,21 @@ class _Walk:
         """Move for `length` [s] toward a target (3,) [m] and direction (3,); return the distance that remains [m]."""
         at, limits = self.at, self._limits
         lower, upper = limits.velocity_bounds(at.joints)
-        rows, room = None, np.zeros(0)
+        rows, room, context = None, np.zeros(0), SolvedConfiguration(self._statics, at)
         if limits.others:
-            rows, room = limits.rows(SolvedConfiguration(self._statics, at))
+            rows, room = limits.rows(context)
         wrench = self._wrench(time)
         # The joints must also compensate the motion that the load causes in this step.
         moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
         desired = task_rows(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
         jacobian = task_rows(self._aim, at.jacobian, at.rotation)
         found = inverse(jacobian, desired, limits.speed, lower, upper, rows, room)
+        velocity = with_retreat(limits, context, room, found.velocity)
         self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
         if found.sigma[-1] < NEAR_SINGULAR_M_S:
             self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)
         try:
-            self.at = self._statics.solve(at.joints + length * found.velocity, wrench, at)
+            self.at = self._statics.solve(at.joints + length * velocity, wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
         self._check_regions(time)

@@ -3,7 +3,8 @@
 A region has a signed distance to each point, negative inside. The clearance of the tubes is the smallest distance of
 their centre line less their radius and the region's margin; for an allowed region the distance changes its sign. The
 limit slows the motion toward a region as other limits do: the clearance over `BRAKING_TIME_CONSTANT_S` bounds the
-speed at which the nearest point of each part of the tubes approaches it.
+speed at which the nearest point of each part of the tubes approaches it. A load can push the tubes nearer than the
+margin. During a motion the robot then retreats until the clearance is zero; without a motion it does not move.
 """
 
 import math
@@ -18,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from core.compiled import compiled
 from core.errors import DescriptionError, PoseError
-from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, built_in
+from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, Limits, built_in
 from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has a row of the limit, for its point that is nearest to the region.
@@ -31,6 +32,8 @@ CELL_M, REACH_M = 0.005, 0.030
 FAR_M = 0.010
 #: Distance by which the clearance may be missed, because the limit lets the tubes come as near as the margin [m].
 TOLERANCE_M = 1e-4
+#: Time constant of a retreat [s], twice the delay of the stages, and its largest speed [m/s].
+RETREAT_TIME_S, MAX_RETREAT_M_S = 0.15, 0.005
 #: Largest number of triangles of a mesh, and of its cells.
 MAX_TRIANGLES, MAX_CELLS = 100_000, 400_000
 
@@ -120,6 +123,7 @@ class Clearance(NamedTuple):
     distance: float  #: distance of the tubes' surface to the region, less the margin [m]
     point: Array  #: (3,) nearest point on the tubes' centre line [m]
     direction: Array  #: (3,) unit vector along which the clearance grows
+    nearest: Array  #: (3,) nearest point of the region's surface [m]
 
 
 @built_in
@@ -140,9 +144,11 @@ class KeepOut:
 
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
-        nearest = self._evaluated(near)[2]
-        best = nearest[int(nearest[:, 0].argmin())]
-        return Clearance(float(best[0]), best[1:4].copy(), best[4:].copy())
+        parts = self._evaluated(near)[2]
+        best = parts[int(parts[:, 0].argmin())]
+        point, direction = best[1:4].copy(), best[4:].copy()
+        away = abs(self.region.distance(point)[0])
+        return Clearance(float(best[0]), point, direction, point - away * direction)
 
     def _evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
         """Return rows, room, and clearance, nearest point and direction of each part (5, 7)."""
@@ -156,8 +162,8 @@ class KeepOut:
         if found.distance < -TOLERANCE_M:
             side = "inside" if region.inside else "outside"
             raise PoseError(
-                f"the tubes are {1e3 * (found.distance + region.margin):.2g} mm {side} the region '{region.name}' near"
-                f" ({', '.join(f'{1e3 * x:.0f}' for x in found.point)}) mm; {1e3 * region.margin:g} mm are required"
+                f"the tubes are {1e3 * (found.distance + region.margin) + 0.0:.2f} mm {side} the region '{region.name}'"
+                f" near ({', '.join(f'{1e3 * x:.0f}' for x in found.point)}) mm; required: {1e3 * region.margin:g} mm"
             )
 
 
@@ -165,6 +171,35 @@ def smallest_clearance(limits: Sequence[object], near: Backbone) -> tuple[str, C
     """Return name and clearance of the nearest region among `limits`; None if there is no region."""
     found = [(one.region.name, one.clearance(near)) for one in limits if isinstance(one, KeepOut)]
     return min(found, key=lambda one: one[1].distance, default=None)
+
+
+def with_retreat(limits: Limits, at: LimitContext, room: Array, velocity: Array) -> Array:
+    """Return joint velocities (n,) with a retreat from the region whose margin the tubes miss most.
+
+    Args:
+        limits: limits of the robot.
+        at: state of the robot.
+        room: room of the rows of `limits` there; it is 0 where a margin is missed.
+        velocity: joint velocities inside the limits (n,) [rad/s or m/s].
+    """
+    if room.all():
+        return velocity
+    worst, row = 0.0, None
+    for limit in limits.others:
+        if isinstance(limit, KeepOut):
+            rows, _, parts = limit._evaluated(at.backbone)
+            part = int(parts[:, 0].argmin())
+            if parts[part, 0] < worst:
+                worst, row = float(parts[part, 0]), rows[part]
+    if row is None:
+        return velocity
+    scaled = row * limits.speed
+    square = float(scaled @ scaled)
+    if square < 1e-18:  # no joint moves that point
+        return velocity
+    away = max(worst / RETREAT_TIME_S, -MAX_RETREAT_M_S)
+    lower, upper = limits.velocity_bounds(at.joints)
+    return np.minimum(np.maximum(velocity + away / square * scaled * limits.speed, lower), upper)
 
 
 @compiled

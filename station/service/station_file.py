@@ -13,6 +13,7 @@ from core.control.reachability import check_pose
 from core.control.step import Controller
 from core.errors import CtrError
 from core.model.statics import Statics
+from core.robot.limits import Limits
 from core.robot.robot import Array
 from station.camera.config import CameraFile, CamerasFile, check_cameras
 from station.config.controllers import ControllerFile, Present, default_controller
@@ -62,6 +63,11 @@ class Rig:
     def max_force(self) -> float:
         """Force on the tip at which a motion ends in HOLD, or at which the controller stops pushing [N]."""
         return self.robot.largest_force().newton
+
+    @cached_property
+    def limits(self) -> Limits:
+        """Limits of the station's controller: joints, tubes, tip, force and regions."""
+        return self.controlled(self.controller).limits
 
     @cached_property
     def model_note(self) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from core.errors import CtrError
+from core.model.backbone import backbone
 from core.model.statics import Solution, Statics
 from core.robot.robot import Array
 from station.config import palette
@@ -22,6 +23,7 @@ from web.scene.history import TRACE_BIN_S, TRACE_SPAN_S, TipTrace, Validity, val
 from web.scene.lights import add_lights
 from web.scene.marks import TUBE_MAGNIFICATION, ContactMark, PointingMark, TargetMark
 from web.scene.model_error import ModelEnd, TipOffset
+from web.scene.regions import RegionMarks
 from web.scene.robot_mesh import Bend, StageMesh, TubeMesh
 
 #: Number of scene units in a metre.
@@ -46,7 +48,7 @@ class Scene:
         self._task: MotionTask | None = None
         self._loaded = False  # whether the force arrow is shown
         self._magnification = TUBE_MAGNIFICATION
-        scene, robot, limits = server.scene, supervisor.robot, supervisor.bench.robot.limits()
+        scene, robot, limits = server.scene, supervisor.robot, supervisor.bench.limits
         self.extent = extent(robot, limits)  #: bounds for the cameras
         first = camera(FOLLOWING_VIEW, self.extent, np.zeros(3), DEFAULT_ASPECT)
         draw_grid(scene, Grid.around(self.extent), float(np.linalg.norm(first.eye - first.centre)), UNITS_PER_M)
@@ -77,6 +79,7 @@ class Scene:
         )  # fmt: skip
         self._offset, self._model_end = TipOffset(), ModelEnd(scene, UNITS_PER_M)
         self._contact = ContactMark(scene, UNITS_PER_M)
+        self._regions = RegionMarks(scene, limits.others, UNITS_PER_M)
         self._target = TargetMark(scene, UNITS_PER_M)
         self._pointing = PointingMark(scene, UNITS_PER_M)
         self._trace = scene.add_line_segments(
@@ -172,6 +175,8 @@ class Scene:
         self._put(self._estimated, estimated)
         model_end = self._model_end.draw(shape, length, self._offset)
         position = self._near.tip + offset
+        if self._regions.any:
+            self._regions.draw(backbone(self._statics, self._near, position))
         if side_load is None:
             self._contact.hide()
         else:
@@ -208,6 +213,7 @@ class Scene:
         self._pointing.draw(tip, observed, desired if moving else None)
 
     def _hide_model(self) -> None:
+        self._regions.draw(None)
         self._offset.update(None)
         self._model_end.hide()
         self._put(self._estimated, None)

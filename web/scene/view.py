@@ -49,7 +49,7 @@ class SceneView:
         # A client could otherwise request a public tunnel from the internet to this server.
         server.request_share_url = _no_share
         self._history = TipTrace(service.supervisor.channels)
-        self._limits = service.supervisor.bench.robot.limits()
+        self._limits = service.supervisor.bench.limits
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
         self._scene = Scene(server, service.supervisor)
         self.cameras = Cameras(server, self._scene.extent, UNITS_PER_M, lambda: self._scene.drawn)

@@ -1,0 +1,116 @@
+"""Distances to regions against closed forms and against brute force over triangles."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from core.errors import DescriptionError, PoseError
+from core.robot.keep_out import KeepOut, Region, mesh
+from core.robot.limits import Backbone, Configuration
+from core.robot.robot import Array
+
+TURN = trimesh.transformations.rotation_matrix(0.7, (1.0, 2.0, 3.0))
+RNG = np.random.default_rng(5)
+
+
+def solid_angle(triangles: Array, point: Array) -> float:
+    """Return the winding number of closed triangles about a point (van Oosterom and Strackee 1983)."""
+    a, b, c = (triangles[:, i] - point for i in range(3))
+    la, lb, lc = (np.linalg.norm(one, axis=1) for one in (a, b, c))
+    dots = np.sum(a * b, axis=1) * lc + np.sum(b * c, axis=1) * la + np.sum(c * a, axis=1) * lb
+    return float(np.sum(2.0 * np.arctan2(np.sum(a * np.cross(b, c), axis=1), la * lb * lc + dots)) / (4.0 * np.pi))
+
+
+def brute_force(triangles: Array, point: Array) -> float:
+    """Return the signed distance of a point to closed triangles, negative inside."""
+    nearest = trimesh.triangles.closest_point(triangles, np.tile(point, (len(triangles), 1)))
+    distance = float(np.linalg.norm(nearest - point, axis=1).min())
+    return distance if solid_angle(triangles, point) < 0.5 else -distance
+
+
+def straight(points: Array, radius: float = 0.001) -> Backbone:
+    """Return tubes of one radius along points (m, 3), whose joints move each point along x, y and z."""
+    return Backbone(points, np.full(len(points), radius), np.tile(np.eye(3), (len(points), 1, 1)), len(points))
+
+
+@pytest.mark.parametrize("body", [
+    trimesh.creation.icosphere(subdivisions=2, radius=0.02),
+    trimesh.creation.annulus(r_min=0.006, r_max=0.015, height=0.02, sections=24),  # concave, with sharp edges
+])  # fmt: skip
+def test_distance_to_a_mesh_equals_brute_force(body: trimesh.Trimesh) -> None:
+    triangles = np.asarray(body.copy().apply_transform(TURN).triangles)
+    region = Region("body", "mesh", (), mesh=mesh(triangles))
+    for point in RNG.uniform(-0.025, 0.025, (300, 3)):
+        assert region.distance(point)[0] == pytest.approx(brute_force(triangles, point), abs=1e-12)
+
+
+def test_distance_to_a_box_equals_that_of_its_mesh_and_its_direction_is_its_gradient() -> None:
+    numbers = (0.0, 0.0, 0.0, 0.015, 0.005, 0.010, *TURN[:3, :3].ravel())
+    box = Region("box", "box", numbers)
+    triangles = np.asarray(trimesh.creation.box((0.03, 0.01, 0.02)).apply_transform(TURN).triangles)
+    for point in RNG.uniform(-0.02, 0.02, (200, 3)):
+        distance, direction = box.distance(point)
+        assert distance == pytest.approx(brute_force(triangles, point), abs=1e-12)
+        assert box.distance(point + 1e-7 * direction)[0] - distance == pytest.approx(1e-7, rel=1e-3)
+
+
+@pytest.mark.parametrize(("region", "point", "distance"), [
+    (Region("sphere", "sphere", (0.0, 0.0, 0.1, 0.02)), (0.03, 0.0, 0.1), 0.01),
+    (Region("rib", "capsule", (0.0, -0.05, 0.1, 0.0, 0.05, 0.1, 0.004)), (0.01, 0.02, 0.1), 0.006),
+    (Region("rib", "capsule", (0.0, -0.05, 0.1, 0.0, 0.05, 0.1, 0.004)), (0.0, 0.06, 0.1), 0.006),
+    (Region("table", "half_space", (0.05, 0.0, 0.0, -1.0, 0.0, 0.0)), (0.02, 0.3, 0.1), 0.03),
+])  # fmt: skip
+def test_distance_to_a_simple_region(region: Region, point: tuple[float, ...], distance: float) -> None:
+    assert region.distance(np.array(point))[0] == pytest.approx(distance, abs=1e-12)
+
+
+def test_clearance_counts_radius_and_margin_and_finds_the_point_between_two_points() -> None:
+    """A line along z at 12 mm from the centre of a sphere of 8 mm; its nearest point is between two of its points."""
+    line = straight(np.array([[0.012, 0.0, z] for z in np.arange(0.0, 0.105, 0.005)]))
+    region = Region("ball", "sphere", (0.0, 0.0, 0.0523, 0.008), margin=0.0015)
+    found = KeepOut(region).clearance(line)
+
+    assert found.distance == pytest.approx(0.012 - 0.008 - 0.001 - 0.0015, abs=2e-5)
+    assert found.point[2] == pytest.approx(0.0523, abs=4e-4)
+    assert np.allclose(found.nearest, (0.008, 0.0, 0.0523), atol=4e-4)
+    assert np.allclose(found.direction, (1.0, 0.0, 0.0), atol=0.05)
+
+
+def test_rows_bound_the_approach_by_the_clearance_over_a_quarter_of_a_second() -> None:
+    line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 33)]))
+    limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
+    rows, room = limit.rows(Configuration(np.zeros(3), np.eye(3), line.points[-1], np.zeros(3), line))
+
+    assert len(limit.names) == len(rows) == len(room)
+    nearest = int(room.argmin())
+    assert np.allclose(rows[nearest], (-1.0, 0.0, 0.0), atol=0.01)  # toward the ball, against x
+    assert room[nearest] == pytest.approx(0.002 / 0.25, rel=0.01)
+
+
+def test_tubes_must_stay_inside_an_allowed_region() -> None:
+    limit = KeepOut(Region("lumen", "capsule", (0.0, 0.0, -0.01, 0.0, 0.0, 0.2, 0.01), inside=True, margin=0.002))
+    line = np.array([[0.0, 0.0, z] for z in np.linspace(0.0, 0.1, 33)])
+    for shift, clearance in ((0.0, 0.007), (0.005, 0.002), (0.009, -0.002)):
+        near = straight(line + np.array([shift, 0.0, 0.0]))
+        assert limit.clearance(near).distance == pytest.approx(clearance, abs=1e-9)
+        at = Configuration(np.zeros(3), np.eye(3), near.points[-1], np.zeros(3), near)
+        if clearance > 0.0:
+            limit.check(at)
+        else:
+            with pytest.raises(PoseError, match=r"0.00 mm inside the region 'lumen'.*required: 2 mm"):
+                limit.check(at)
+
+
+def test_a_mesh_in_a_wrong_unit_is_refused() -> None:
+    body = trimesh.creation.icosphere(subdivisions=1, radius=20.0)  # millimetres read as metres
+    with pytest.raises(DescriptionError, match="is its unit right"):
+        mesh(np.asarray(body.triangles))
+
+
+def test_the_margin_is_missed_by_its_tolerance_at_most() -> None:
+    limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
+    points = np.array([[0.00995, 0.0, z] for z in np.linspace(0.0, 0.1, 33)])
+    limit.check(Configuration(np.zeros(3), np.eye(3), points[-1], np.zeros(3), straight(points)))
+    points[:, 0] = 0.0098
+    with pytest.raises(PoseError, match=r"0.80 mm outside the region 'ball' near \(10, 0, 50\) mm"):
+        limit.check(Configuration(np.zeros(3), np.eye(3), points[-1], np.zeros(3), straight(points)))
