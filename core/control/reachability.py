@@ -39,6 +39,7 @@ class SolvedConfiguration:
         """Store a solution; `tip` is the observed position of the tip (3,) [m], by default the model's."""
         self._statics, self._at, self._observed = statics, at, tip
         self.joints, self.force = at.joints, at.wrench[:3]
+        self._backbone: Backbone | None = None
 
     @property
     def jacobian(self) -> Array:
@@ -50,10 +51,12 @@ class SolvedConfiguration:
         """Position of the tip (3,) [m]."""
         return self._at.tip if self._observed is None else self._observed
 
-    @cached_property
+    @property
     def backbone(self) -> Backbone:
         """Points along the loaded tubes."""
-        return backbone(self._statics, self._at, self._observed)
+        if self._backbone is None:
+            self._backbone = backbone(self._statics, self._at, self._observed)
+        return self._backbone
 
 
 @dataclass(frozen=True)

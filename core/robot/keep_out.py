@@ -11,11 +11,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from core.compiled import compiled
 from core.errors import DescriptionError, PoseError
@@ -140,17 +139,17 @@ class KeepOut:
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
         """Return a row for each part of the tubes: its approach is at most the clearance over a time constant."""
-        return self._evaluated(at.backbone)[:2]
+        return self.evaluated(at.backbone)[:2]
 
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
-        parts = self._evaluated(near)[2]
+        parts = self.evaluated(near)[2]
         best = parts[int(parts[:, 0].argmin())]
         point, direction = best[1:4].copy(), best[4:].copy()
         away = abs(self.region.distance(point)[0])
         return Clearance(float(best[0]), point, direction, point - away * direction)
 
-    def _evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
+    def evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
         """Return rows, room, and clearance, nearest point and direction of each part (5, 7)."""
         found = np.zeros((len(PARTS), near.jacobian.shape[2])), np.empty(len(PARTS)), np.empty((len(PARTS), 7))
         _rows(self.region.packed, *self.region.mesh, *near, BRAKING_TIME_CONSTANT_S, *found)
@@ -187,7 +186,7 @@ def with_retreat(limits: Limits, at: LimitContext, room: Array, velocity: Array)
     worst, row = 0.0, None
     for limit in limits.others:
         if isinstance(limit, KeepOut):
-            rows, _, parts = limit._evaluated(at.backbone)
+            rows, _, parts = limit.evaluated(at.backbone)
             part = int(parts[:, 0].argmin())
             if parts[part, 0] < worst:
                 worst, row = float(parts[part, 0]), rows[part]
@@ -422,12 +421,14 @@ def _candidates(
     triangles: Array, origin: Array, size: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Return the triangles that can be nearest to a point of each cell: `starts`, `candidates`, `distances`."""
+    import scipy.spatial  # pyright: ignore[reportMissingTypeStubs] # only for meshes, because its import takes a third of a second
+
     centroids = triangles.mean(axis=1)
     largest = float(np.linalg.norm(triangles - centroids[:, None], axis=2).max())
     index = np.indices(tuple(size.tolist())).reshape(3, -1).T
     centres = origin + CELL_M * (index + 0.5)
-    tree, diagonal = cKDTree(centroids), math.sqrt(3.0) * CELL_M
-    bounds = tree.query(centres)[0]
+    tree, diagonal = cast(Any, scipy.spatial).KDTree(centroids), math.sqrt(3.0) * CELL_M
+    bounds: Array = tree.query(centres)[0]
     starts, found, away = np.zeros(len(centres) + 1, np.int64), list[NDArray[np.int64]](), list[Array]()
     for cell, (centre, bound) in enumerate(zip(centres, bounds, strict=True)):
         near = np.array(tree.query_ball_point(centre, bound + diagonal + largest), np.int64)

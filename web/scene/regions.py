@@ -7,7 +7,7 @@ import viser
 
 from core.robot.keep_out import KeepOut, Region, smallest_clearance
 from core.robot.limits import Backbone, Limit
-from core.robot.robot import Array
+from core.robot.robot import Array, Indices
 from station.config import palette
 
 #: Clearance at which the line to the nearest region appears, and below which it has the colour of a warning [m].
@@ -49,9 +49,9 @@ class RegionMarks:
             self._line.points = np.array([[clearance.point, clearance.nearest]], np.float32)
 
 
-def surface(region: Region) -> tuple[Array, Array]:
+def surface(region: Region) -> tuple[Array, Indices]:
     """Return corners (v, 3) [m] and triangles (f, 3) of the drawn surface of a region."""
-    import trimesh  # viser's library for meshes
+    import trimesh  # its import takes a second, and most stations have no regions
 
     numbers = np.array(region.numbers)
     if region.kind == "mesh":

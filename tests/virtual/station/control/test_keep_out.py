@@ -22,7 +22,7 @@ from station.lab.virtual_bench import virtual_bench
 START = np.array([0.0, 0.5 * np.pi, -0.1])
 CONTROLLER = ControllerFile(inner="type_2", feedback="observer", feedforward=True, load="wrenches")
 #: A rib that the circle below would touch without the limit.
-RIB = CapsuleRegion(name="rib", start=(0.0152, -0.04, 0.1285), end=(0.0152, 0.01, 0.1285), radius=0.004)
+RIB = CapsuleRegion(name="rib", start=(0.0144, -0.04, 0.1285), end=(0.0144, 0.01, 0.1285), radius=0.004)
 CIRCLE = CircleMotion(radius=0.006, period=12.0)
 ROBOT = load_robot("paper")
 
@@ -67,9 +67,9 @@ def smallest_clearance(region: RegionFile, *, limited: bool, lab: str = "gentle"
 
 
 def test_the_true_tubes_keep_the_margin_of_a_rib_that_the_path_would_touch() -> None:
-    """Errors of the uncalibrated model, which the limit does not know, are a tenth of the margin."""
-    assert smallest_clearance(RIB, limited=False) < -0.3e-3
-    assert smallest_clearance(RIB, limited=True) > -0.2e-3
+    """Errors of the uncalibrated model, which the limit does not know, are up to a quarter of the margin."""
+    assert smallest_clearance(RIB, limited=False) < -0.6e-3
+    assert smallest_clearance(RIB, limited=True) > -0.25e-3
 
 
 def test_a_motion_through_a_region_is_refused_with_its_name() -> None:
