@@ -67,12 +67,17 @@ def surface(region: Region) -> tuple[Array, Indices]:
         body.apply_transform(pose)
     elif region.kind == "capsule":
         body = trimesh.creation.capsule(float(np.linalg.norm(numbers[3:6] - numbers[:3])), region.numbers[6])
-        turn = trimesh.geometry.align_vectors((0.0, 0.0, 1.0), numbers[3:6] - numbers[:3] + (0.0, 0.0, 1e-12))
-        turn[:3, 3] = numbers[:3]
-        body.apply_transform(turn)
+        body.apply_transform(_along(numbers[:3], numbers[3:6] - numbers[:3] + (0.0, 0.0, 1e-12)))
     else:
         body = trimesh.creation.box((2.0 * PLANE_M, 2.0 * PLANE_M, 1e-4))
-        turn = trimesh.geometry.align_vectors((0.0, 0.0, 1.0), numbers[3:6])
-        turn[:3, 3] = numbers[:3]
-        body.apply_transform(turn)
+        body.apply_transform(_along(numbers[:3], numbers[3:6]))
     return np.asarray(body.vertices, np.float64), np.asarray(body.faces)
+
+
+def _along(position: Array, direction: Array) -> Array:
+    """Return the transform (4, 4) of the origin to a position, and of the z axis to a direction."""
+    from trimesh.geometry import align_vectors
+
+    turn = np.array(align_vectors((0.0, 0.0, 1.0), direction), np.float64)
+    turn[:3, 3] = position
+    return turn
