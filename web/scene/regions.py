@@ -67,7 +67,7 @@ def surface(region: Region) -> tuple[Array, Indices]:
         body.apply_transform(pose)
     elif region.kind == "capsule":
         body = trimesh.creation.capsule(float(np.linalg.norm(numbers[3:6] - numbers[:3])), region.numbers[6])
-        body.apply_transform(_along(numbers[:3], numbers[3:6] - numbers[:3] + (0.0, 0.0, 1e-12)))
+        body.apply_transform(_along(0.5 * (numbers[:3] + numbers[3:6]), numbers[3:6] - numbers[:3] + (0.0, 0.0, 1e-12)))
     else:
         body = trimesh.creation.box((2.0 * PLANE_M, 2.0 * PLANE_M, 1e-4))
         body.apply_transform(_along(numbers[:3], numbers[3:6]))
