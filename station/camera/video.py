@@ -10,9 +10,10 @@ Each frame is a message without references to later frames, and each key frame s
 import os
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +33,7 @@ from station.camera.rendering import Picture
 from station.recording.data_section import NO_ROWS, DataSection, Topic, WrittenMessage
 from station.recording.drawing import quaternion_of
 from station.recording.foxglove import FrameTransforms, json_topic
-from station.recording.metadata import texts, versions
+from station.recording.metadata import texts, values_of, versions
 from station.recording.run_folder import RECORDING_SUFFIX, video_files
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
@@ -44,6 +45,8 @@ CHUNK_INTERVAL_S, KEY_INTERVAL_S = 0.5, 1.0
 QUALITY = 23
 #: Unit of the frames' times in the encoder [s].
 TIME_BASE = Fraction(1, 1_000_000)
+#: Type of the unit with which a key frame starts.
+SEQUENCE_SET = 7
 VIDEO, CALIBRATION, TRANSFORM = 1, 2, 3  #: ids of the MCAP topics
 VIDEO_SCHEMA = "foxglove_msgs/CompressedVideo"
 VIDEO_DEFINITION = "time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
@@ -233,6 +236,62 @@ def decode_frames(path: Path) -> Iterator[tuple[int, Picture]]:
             yield times.pop(0), frame.to_ndarray(format="bgr24")
     for frame in decoder.decode(None):
         yield times.pop(0), frame.to_ndarray(format="bgr24")
+
+
+def stills(path: Path, times: Sequence[int]) -> list[tuple[int, Picture]]:
+    """Return time and picture, as `decode_frames`, of the frames nearest to wall times [ns since 1970].
+
+    Only the frames between a key frame and such a frame are decoded. A video without frames has no stills.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    stamps = np.array([frame.time for frame in read_frames(path)])
+    if len(stamps) == 0:
+        return []
+    wanted = [int(np.abs(stamps - time).argmin()) for time in times]
+    found: dict[int, tuple[int, Picture]] = {}
+    group: list[tuple[int, RecordedFrame]] = []  # the frames since the last key frame, with their numbers
+    for number, frame in enumerate(chain(read_frames(path), [None])):
+        if frame is None or _is_key(frame.data):
+            for last in {one for one in wanted if group and group[0][0] <= one <= group[-1][0]}:
+                found[last] = _decoded([frame for number, frame in group if number <= last])
+            group = []
+        if frame is not None:
+            group.append((number, frame))
+    return [found[one] for one in wanted]
+
+
+def _is_key(data: bytes) -> bool:
+    """Return whether a frame starts with the parameter sets of a key frame."""
+    return data[4:5] != b"" and data[4] & 31 == SEQUENCE_SET
+
+
+def _decoded(frames: Sequence[RecordedFrame]) -> tuple[int, Picture]:
+    """Return time and picture of the last of successive frames, of which the first is a key frame."""
+    decoder: Any = av.CodecContext.create("h264", "r")
+    decoder.thread_count = 1
+    pictures = [one for frame in frames for one in decoder.decode(av.Packet(frame.data))]
+    pictures += decoder.decode(None)
+    if not pictures:
+        raise RecordingError("a key frame of the video cannot be decoded")
+    return frames[-1].time, pictures[-1].to_ndarray(format="bgr24")
+
+
+def camera_of(path: Path) -> tuple[str, CameraFile]:
+    """Return name and settings of the camera of a video file.
+
+    Raises:
+        RecordingError: the file cannot be read or is not a video of this program.
+    """
+    try:
+        with path.open("rb") as file:
+            written = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+        values = values_of(written["camera"])
+        known = {key: value for key, value in values.items() if key in CameraFile.model_fields}
+        return str(values["name"]), CameraFile.model_validate(known, strict=False)
+    except (McapError, ZstdError, OSError, ValueError, KeyError, struct.error) as error:
+        raise RecordingError(f"{path}: not a video of this program, or damaged: {error}") from None
 
 
 def write_mp4(path: Path, target: Path) -> int:

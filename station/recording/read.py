@@ -40,6 +40,7 @@ class CaseRecording(NamedTuple):
     label: RunOutcome
     cause: str  #: reason why the run is not complete
     stride: int = 1  #: n if `rows` has only every n-th tick
+    epoch: int = 0  #: wall time at which the rows' time was 0 [ns since 1970]; 0 without rows
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -95,6 +96,19 @@ class CaseReader:
                 stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
                 rows = _rows(stream.read(length), topic, self._format)
             yield rows
+
+    def epoch(self) -> int:
+        """Return the wall time at which the rows' time was 0 [ns since 1970]; 0 without rows.
+
+        Raises:
+            RecordingError: a chunk is damaged.
+        """
+        if self.ticks == 0:
+            return 0
+        first = next(self.blocks())[0, columns(self.channels, "time")[0]]
+        with _undamaged(self._path):
+            _, _, message = next(iter(self._reader.iter_messages(topics=TELEMETRY_TOPIC)))
+        return message.log_time - round(1e9 * float(first))
 
     def events(self) -> tuple[RecordedEvent, ...]:
         """Return all events in the order of their time.
@@ -153,7 +167,7 @@ def read_case(path: Path, max_rows: int | None = None, groups: Container[str] | 
             some = block[-passed % stride :: stride]
             rows[filled : filled + len(some)] = some if groups is None else some[:, kept]
             passed, filled = passed + len(block), filled + len(some)
-        return CaseRecording(channels, rows, case.events(), case.metadata, case.label, case.cause, stride)
+        return CaseRecording(channels, rows, case.events(), case.metadata, case.label, case.cause, stride, case.epoch())
 
 
 def columns(channels: tuple[Channel, ...], group: str) -> list[int]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from station.recording.history import SWEEP_FILE
-from station.report import document, facts, load_figures, loop_figures, sweep, tip_figures
+from station.report import camera_figures, document, facts, load_figures, loop_figures, sweep, tip_figures
 from station.report.document import ReportFigure
 from station.report.run import RecordedRun, ReportError, read_run
 
@@ -65,6 +65,7 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
         yield document.paragraph("Nothing was recorded.")
     for drawn in figures(run):
         yield document.picture(drawn, facts.origin(run), out)
+    yield from camera_figures.camera_pictures(run, facts.origin(run), out)
     yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)

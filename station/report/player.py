@@ -6,12 +6,14 @@ between frames.
 """
 
 import base64
+import importlib.util
 import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,10 +23,13 @@ from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
+from station.camera.config import MODULES
+from station.camera.projection import view_of
 from station.config.controllers import ControllerFile
 from station.config.robots import RobotFile
 from station.config.strict import check
-from station.recording.run_folder import write_atomically
+from station.recording.run_folder import video_files, write_atomically
+from station.recording.run_outcome import RecordingError
 from station.report.run import NoRun, RecordedCase, RecordedRun, ReportError, read_run
 
 REPLAY_FILE = "replay.html"
@@ -35,6 +40,8 @@ FRAME_RATE_HZ, MAX_FRAMES = 25.0, 15_000
 CENTRE_LINE_POINTS = 32
 #: Largest 16-bit integer that codes a position, and the integer that codes an unknown value.
 MAX_CODE, UNKNOWN_CODE = 32_767, -32_768
+#: Largest size of all videos in a file [bytes]; a minute of 640 x 480 pixels has 10 MB at most.
+MAX_VIDEO_BYTES = 40_000_000
 TIP_CHANNELS = ("tip_desired", "tip_measured", "tip_estimated", "tip_true")
 
 
@@ -63,13 +70,50 @@ def write_player(folder: Path, out: Path | None = None, report: Callable[[float]
         raise ReportError(f"{out or folder}: cannot write the player: {error.strerror}") from None
 
 
+def videos(run: RecordedRun) -> list[dict[str, Any]]:
+    """Return the videos of a run for the player's page, as MP4 with lens and pose; none without the extra `camera`.
+
+    Videos beyond `MAX_VIDEO_BYTES` are left out, and so are damaged ones; the page then has a sentence about them.
+    """
+    if len(run.cases) != 1 or any(importlib.util.find_spec(module) is None for module in MODULES):
+        return []
+    found: list[dict[str, Any]] = []
+    left = MAX_VIDEO_BYTES
+    for path in video_files(run.folder):
+        from station.camera.video import camera_of, read_frames, write_mp4  # OpenCV and PyAV are an extra
+
+        try:
+            name, camera = camera_of(path)
+            first = next(read_frames(path), None)
+            if first is None:
+                continue
+            with TemporaryDirectory() as folder:
+                write_mp4(path, target := Path(folder, "video.mp4"))
+                content = target.read_bytes()
+        except RecordingError as error:
+            found.append({"name": path.stem, "problem": f"the video is damaged: {error}"})
+            continue
+        left -= len(content)
+        if left < 0:
+            found.append({"name": name, "problem": f"{len(content) / 1e6:.0f} MB of video are too large for this page"})
+            continue
+        view = view_of(camera)
+        found.append({
+            "name": name, "problem": "", "simulated": camera.simulated, "rate": camera.rate,
+            "width": camera.width, "height": camera.height, "start": 1e-9 * (first.time - run.cases[0].start),
+            "view": None if view is None else {part: value.tolist() for part, value in view._asdict().items()},
+            "mp4": base64.b64encode(content).decode("ascii"),
+        })  # fmt: skip
+    return found
+
+
 def _page(run: RecordedRun, cases: list[dict[str, Any]]) -> str:
     title = str(run.table.get("title") or run.summary.get("title") or run.experiment)
     parts = {
         "TITLE": escape(title),
         "RUN": escape(run.folder.name),
         "STYLE": (STATIC / "player.css").read_text(encoding="utf-8"),
-        "DATA": script_data({"simulated": run.simulated, "cases": cases}),
+        "DATA": script_data({"simulated": run.simulated, "cases": cases, "videos": videos(run)}),
         "SCENE": (STATIC / "scene.js").read_text(encoding="utf-8"),
         "PLAYER": (STATIC / "player.js").read_text(encoding="utf-8"),
     }
@@ -126,7 +170,7 @@ def _shapes(robot: Robot, case: RecordedCase, rows: NDArray[np.intp], report: Ca
     A row has the length of the centre line, the proximal ends of the q tubes, and the points of the centre line. It is
     NaN where the model has no solution.
     """
-    statics = _controller(case).model(robot)
+    statics = model_of(case)
     shapes = np.full((len(rows), 1 + len(robot.tubes) + 3 * CENTRE_LINE_POINTS), math.nan)
     joints, force = case.of("joints"), case.of("force_filtered")
     near: Solution | None = None
@@ -140,6 +184,11 @@ def _shapes(robot: Robot, case: RecordedCase, rows: NDArray[np.intp], report: Ca
         if frame % 250 == 0:
             report(frame / len(rows))
     return shapes
+
+
+def model_of(case: RecordedCase) -> Statics:
+    """Return the model with which the run was controlled; raises NoRun and ConfigError."""
+    return _controller(case).model(_robot(case))
 
 
 def _line(statics: Statics, solution: Solution) -> Iterator[Array]:

@@ -51,6 +51,7 @@ class RecordedCase:
     metadata: Mapping[str, Any]
     stride: int = 1  #: n if `rows` has only every n-th tick
     marks: tuple[tuple[float, str], ...] = ()  #: time since the motion's start [s] and text of the operator's marks
+    start: int = 0  #: wall time of the motion's start [ns since 1970]
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -192,7 +193,17 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
     marks = tuple((event.time - start, event.text) for event in found.events if event.kind == MARK)
     # A live run may have no experiment file; then its settings are in the metadata of the recording.
     file = file or {"settling": numbers.get("settling", 0.0), **found.metadata.get("settings", {})}
-    return RecordedCase(name, found.channels, rows, file, numbers, found.metadata, found.stride, marks)
+    return RecordedCase(
+        name,
+        found.channels,
+        rows,
+        file,
+        numbers,
+        found.metadata,
+        found.stride,
+        marks,
+        found.epoch + round(1e9 * start),
+    )
 
 
 def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> tuple[Array, float]:

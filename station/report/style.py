@@ -97,6 +97,16 @@ def stacked(labels: Sequence[str], *, height: float = 1.35, across: str = "time 
     return figure, axes
 
 
+def pictures(count: int, shape: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels for pictures next to each other, whose height is `shape` times their width."""
+    figure = blank(0.45 + WIDTH_INCH / count * shape)
+    panels = figure.subplots(1, count, squeeze=False)[0].tolist()
+    for panel in panels:
+        panel.set_xticks([])
+        panel.set_yticks([])
+    return figure, panels
+
+
 def finish(figure: Figure, text: str) -> None:
     """Add a line with the origin of the data at the bottom of a figure, and fix the layout of the figure.
 

@@ -37,7 +37,8 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "descript
 MCAP_MEDIA_TYPE = "application/octet-stream"
 #: Content-Security-Policy of a report or replay page. The page may load nothing, because the file is complete.
 STANDALONE_POLICY = (
-    "default-src 'none'; img-src data: blob:; font-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline';"
+    "default-src 'none'; img-src data: blob:; media-src blob:; font-src data:; style-src 'unsafe-inline';"
+    " script-src 'unsafe-inline';"
     " frame-ancestors 'self'"
 )
 

@@ -136,6 +136,7 @@ function show() {
   id("clock").textContent = `${time.toFixed(2)} of ${shown.times.at(-1).toFixed(1)} s`;
   numbers();
   cursor();
+  for (const one of pictures) one.show();
   if (!scene) return;
   const dark = matchMedia("(prefers-color-scheme: dark)").matches;
   scene.startFrame(dark ? [0.09, 0.105, 0.12] : [0.957, 0.965, 0.973]);
@@ -176,6 +177,78 @@ function numbers() {
     + shown.joints.map(([name, unit], k) => row(name.replaceAll("_", " "), unit === "rad" ? "deg" : "mm",
       [joints[k] * (unit === "rad" ? 180 / Math.PI : 1000)], 2)).join("") + "</tbody>";
 }
+
+// ---- pictures of the cameras at the cursor, with the tubes and the tips of the recording over them
+
+const svgElement = (name, fields) => {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
+  for (const [key, value] of Object.entries(fields)) element.setAttribute(key, value);
+  return element;
+};
+
+/** A camera's video that follows the cursor. */
+class Picture {
+  constructor(source) {
+    Object.assign(this, source);
+    this.figure = document.createElement("figure");
+    this.caption = document.createElement("figcaption");
+    if (source.problem) {
+      this.caption.textContent = `camera ${source.name}: ${source.problem}`;
+      this.figure.append(this.caption);
+      return;
+    }
+    this.video = Object.assign(document.createElement("video"), { muted: true, playsInline: true, preload: "auto" });
+    this.video.src = URL.createObjectURL(new Blob([bytes(source.mp4)], { type: "video/mp4" }));
+    this.drawing = svgElement("svg", { viewBox: `-0.5 -0.5 ${source.width} ${source.height}`, "aria-hidden": "true" });
+    const button = Object.assign(document.createElement("button"), { type: "button", title: "enlarge or reduce" });
+    button.setAttribute("aria-label", `picture of camera ${source.name}: enlarge or reduce`);
+    button.append(this.video, this.drawing);
+    button.addEventListener("click", () => this.figure.classList.toggle("large"));
+    this.figure.append(button, this.caption);
+    this.video.addEventListener("seeked", () => this.show());
+    this.video.addEventListener("loadeddata", () => this.show());
+  }
+
+  /** Show the frame at the cursor; while the player plays, the video runs and is only corrected. */
+  show() {
+    if (!this.video || this.video.readyState === 0) return;
+    const time = shown.others(frame, 0, 1)[0], wanted = Math.min(Math.max(time - this.start, 0), this.video.duration);
+    const outside = time < this.start - 1 / this.rate || time > this.start + this.video.duration + 1 / this.rate;
+    this.video.style.visibility = outside ? "hidden" : "visible";
+    const speed = Number(id("speed").value), runs = playing && speed <= 2 && !outside;
+    if (runs && this.video.paused) { this.video.playbackRate = speed; this.video.play().catch(() => {}); }
+    if (runs && this.video.playbackRate !== speed) this.video.playbackRate = speed;
+    if (!runs && !this.video.paused) this.video.pause();
+    // A quarter of a frame later than the frame's time, because a browser may round to the frame before.
+    if (!this.video.seeking && Math.abs(this.video.currentTime - wanted - 0.25 / this.rate) > (runs ? 1 : 0.5) / this.rate) this.video.currentTime = wanted + 0.25 / this.rate;
+    this.caption.textContent = `camera ${this.name}${this.simulated ? ", simulated" : ""}${outside ? ": no picture at this time" : ""}`;
+    this.draw(outside);
+  }
+
+  draw(outside) {
+    if (!this.view || outside) { this.drawing.replaceChildren(); return; }
+    const line = (points, colour) => svgElement("polyline", { points: points.map((p) => this.pixel(p)).filter(Boolean).map((p) => p.map((v) => v.toFixed(1)).join()).join(" "), fill: "none", stroke: css(colour), "stroke-width": 2, "vector-effect": "non-scaling-stroke" });
+    const ball = (position, colour) => {
+      const at = position && this.pixel(position);
+      return at ? [svgElement("circle", { cx: at[0], cy: at[1], r: this.width / 80, fill: "none", stroke: css(colour), "stroke-width": 2, "vector-effect": "non-scaling-stroke" })] : [];
+    };
+    const tubes = shown.tubes.map((_, k) => shown.tube(frame, k)).map((points, k) => points && line(points, TUBES[k % TUBES.length])).filter(Boolean).reverse();
+    this.drawing.replaceChildren(...tubes, ...ball(shown.tip(frame, 1), TIPS[1].colour), ...(shown.desired ? ball(shown.tip(frame, 0), TIPS[0].colour) : []));
+  }
+
+  /** Column and row of a point by OpenCV's model of a lens; null behind the camera. */
+  pixel(point) {
+    const { matrix, distortion: [k1, k2, p1, p2, k3], rotation, position } = this.view;
+    const [a, b, c] = rotation.map((row) => row.reduce((sum, value, k) => sum + value * (point[k] - position[k]), 0));
+    if (c < 1e-3) return null;
+    const x = a / c, y = b / c, square = x * x + y * y, radial = 1 + square * (k1 + square * (k2 + square * k3));
+    return [matrix[0][0] * (x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)) + matrix[0][2],
+      matrix[1][1] * (y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y) + matrix[1][2]];
+  }
+}
+
+const pictures = data.videos.map((source) => new Picture(source));
+id("cameras").append(...pictures.map((one) => one.figure));
 
 let background = null;
 
@@ -219,7 +292,7 @@ function play(on) {
   if (on && frame >= shown.frames - 1) go(0);
   id("play").textContent = on ? "Pause" : "Play";
   last = performance.now();
-  if (on) requestAnimationFrame(tick);
+  if (on) requestAnimationFrame(tick); else show();
 }
 
 function tick(now) {
