@@ -121,8 +121,8 @@ def overlay_at(case: RecordedCase, view: CameraView, time: float) -> RecordedOve
     row = int(np.abs(case.time - time).argmin())
     frames, tips = case.measured_tip()
     measured = 1e-3 * tips[int(np.abs(frames - time).argmin())] if len(frames) else np.full(3, np.nan)
-    statics: Statics = model_of(case)
     try:
+        statics: Statics = model_of(case)
         joints, force = case.of("joints")[row], case.of("force_filtered")[row]
         shape = statics.shape(statics.solve(joints, pure_force(force)))
         ends = statics.robot.tube_poses(joints)[1] + [tube.length for tube in statics.robot.tubes]

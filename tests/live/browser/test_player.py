@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
+from station.camera.config import CameraFile
+from station.camera.video import VideoWriter
 from station.cli.main import main
+from station.recording.run_folder import VIDEOS_FOLDER
+from station.report.run import read_run
 from tests.harness.waiting import until
 
 RUN = """
@@ -59,6 +63,54 @@ def at_start(player: Page) -> Page:
     player.locator("#case").select_option("one")
     player.keyboard.press("Home")
     return player
+
+
+@pytest.fixture(scope="module")
+def filmed(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Open the player of a run with a video of 30 frames/s, whose frame number n has the grey level 20 + 3 n."""
+    place = tmp_path_factory.mktemp("filmed")
+    (place / "own.toml").write_text(RUN.replace("[cases.two.controller]\nfeedforward = true\n", ""), encoding="utf-8")
+    assert main(("run", str(place / "own.toml"), "--jobs", "1", "--out", str(place / "runs"), "--json")) == 0
+    folder = next((place / "runs").iterdir())
+    camera = CameraFile(width=160, height=120, rate=30.0)
+    writer = VideoWriter(folder / VIDEOS_FOLDER / "side.mcap", "side", camera, read_run(folder).cases[0].start)
+    for number in range(70):
+        writer.write(np.full((120, 160, 3), 20 + 3 * number, np.uint8), number / 30.0 - 0.1)
+    writer.close()
+    assert main(("replay", str(folder), "--out", str(place / "own.html"))) == 0
+    page = browser.new_page(viewport={"width": 1280, "height": 720}, reduced_motion="reduce")
+    page.goto((place / "own.html").as_uri())
+    yield page
+    page.close()
+
+
+#: JavaScript that returns the mean grey level of the shown frame of the camera.
+GREY = """() => {
+  const canvas = new OffscreenCanvas(1, 1), pen = canvas.getContext("2d");
+  pen.drawImage(document.querySelector("#cameras video"), 0, 0, 1, 1);
+  return pen.getImageData(0, 0, 1, 1).data[1];
+}"""
+
+
+@pytest.mark.parametrize("time", [0.0, 0.4, 1.0, 1.8])
+def test_picture_of_a_camera_is_that_of_the_cursor_of_the_replay(filmed: Page, time: float) -> None:
+    filmed.evaluate("(time) => { play(false); go(shown.times.findIndex((one) => one > time - 1e-6)); }", time)
+    # Frame number 3 was exposed at the motion's start. A step of one frame is three levels.
+    until(lambda: abs((filmed.evaluate(GREY) - 20.0) / 3.0 - (3.0 + 30.0 * time)) <= 1.0)
+    assert filmed.locator("#cameras figcaption").inner_text() == "camera side, simulated"
+    tubes, balls = (filmed.locator(f"#cameras {kind}").count() for kind in ("polyline", "circle"))
+    assert (tubes, balls) == (2, 2)
+
+
+def test_picture_of_a_camera_can_be_enlarged_in_the_replay(filmed: Page) -> None:
+    button = filmed.get_by_role("button", name="picture of camera side")
+    before = button.bounding_box()
+    button.click()
+    after = button.bounding_box()
+    assert before is not None
+    assert after is not None
+    assert after["width"] > 1.4 * before["width"]
+    button.click()
 
 
 def picture(page: Page) -> np.ndarray:

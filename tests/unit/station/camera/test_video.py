@@ -18,10 +18,12 @@ from station.camera.projection import view_of
 from station.camera.rendering import Renderer
 from station.camera.video import (
     VideoWriter,
+    camera_of,
     decode_frames,
     export_videos,
     next_video,
     read_frames,
+    stills,
     write_mp4,
 )
 from station.lab.plant import TubeShape
@@ -83,6 +85,22 @@ def test_every_frame_decodes_and_shows_the_ball_at_its_time(video: Path) -> None
     for number, (stamp, picture) in enumerate(decoded):
         assert abs(stamp - EPOCH - 1e9 * (100.0 + number / 30.0)) < 1e3
         assert np.abs(ball_centre(picture) - view.project(tip_at(number)[None])[0]).max() < 1.0
+
+
+def test_stills_are_the_frames_nearest_to_their_times(video: Path) -> None:
+    """Times before and after a key frame; times outside of the video have its first or last frame."""
+    view = view_of(CAMERA)
+    assert view is not None
+    numbers = [29.4, 0.0, 30.0, 64.0, -20.0, 90.0]
+    found = stills(video, [EPOCH + round(1e9 * (100.0 + number / 30.0)) for number in numbers])
+
+    for (stamp, picture), expected in zip(found, [29, 0, 30, 64, 0, 64], strict=True):
+        assert stamp == pytest.approx(EPOCH + 1e9 * (100.0 + expected / 30.0), abs=1e3)
+        assert np.abs(ball_centre(picture) - view.project(tip_at(expected)[None])[0]).max() < 1.0
+
+
+def test_a_video_has_the_settings_of_its_camera(video: Path) -> None:
+    assert camera_of(video) == ("side", CAMERA)
 
 
 def test_each_message_is_one_frame_and_each_key_frame_starts_with_its_parameter_sets(video: Path) -> None:
