@@ -36,9 +36,7 @@ from core.control.velocity_ik import (
     zero_velocity,
 )
 from core.errors import NotFinite
-from core.model.backbone import backbone
 from core.model.solution import fields
-from core.model.statics import Statics
 from core.robot.keep_out import with_retreat
 from core.robot.limits import Backbone, Limits, velocity_bounds
 from core.robot.robot import Array
@@ -85,7 +83,7 @@ def command(
     joints: Array, now: Estimate, force: Array, setpoint: Setpoint, tip: Array, origin: Array,
     drift: Array = OBSERVER_DRIFT,
     aim: TaskSelection = POSITION_ONLY, tasks: Sequence[Task] = (), null_space: NullSpace | None = None,
-    statics: Statics | None = None,
+    near: Backbone | None = None,
 ) -> CommandResult:  # fmt: skip
     """Return the joint velocities that move the tip toward a setpoint.
 
@@ -103,7 +101,7 @@ def command(
         aim: controlled coordinates of the tip; custom loops control the position only.
         tasks: tasks in addition to the position, with built-in loops.
         null_space: objective for joint motions that do not move the tip; None: the preferred joint velocity is zero.
-        statics: model of the controller, which limits need that keep the tubes out of regions.
+        near: points along the loaded tubes, which limits need that keep the tubes out of regions.
 
     Raises:
         NotFinite: the requested tip velocity or the Jacobian is not finite.
@@ -112,7 +110,7 @@ def command(
     """
     n = joints.size
     rows, room = no_rows(n), NO_BOUNDS
-    context = _CurrentConfiguration(joints, now, force, statics)
+    context = _CurrentConfiguration(joints, now, force, near)
     if limits.others:
         rows, room = limits.rows(context)
     if strategy.laws is None:
@@ -139,7 +137,7 @@ def command(
 
 
 def joint_command(
-    limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array, statics: Statics | None = None
+    limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array, near: Backbone | None = None
 ) -> CommandResult:
     """Return the requested joint velocity (n,) inside the limits, under the estimated `force` (3,) on the tip [N].
 
@@ -154,7 +152,7 @@ def joint_command(
     velocity = np.minimum(np.maximum(requested, lower), upper)
     at_bound, at_row = np.sign(requested - velocity), NO_BOUNDS
     if limits.others and velocity.any():
-        rows, room = limits.rows(_CurrentConfiguration(joints, now, force, statics))
+        rows, room = limits.rows(_CurrentConfiguration(joints, now, force, near))
         toward = rows @ velocity
         at_row = (toward > room).astype(float)
         if at_row.any():
@@ -165,11 +163,10 @@ def joint_command(
 class _CurrentConfiguration:
     """State of the robot in one tick, for limits; Jacobian and tip are computed only when a limit reads them."""
 
-    __slots__ = ("_backbone", "_now", "_statics", "force", "joints")
+    __slots__ = ("_near", "_now", "force", "joints")
 
-    def __init__(self, joints: Array, now: Estimate, force: Array, statics: Statics | None) -> None:
-        self.joints, self._now, self.force, self._statics = joints, now, force, statics
-        self._backbone: Backbone | None = None
+    def __init__(self, joints: Array, now: Estimate, force: Array, near: Backbone | None) -> None:
+        self.joints, self._now, self.force, self._near = joints, now, force, near
 
     @property
     def jacobian(self) -> Array:
@@ -184,10 +181,8 @@ class _CurrentConfiguration:
     @property
     def backbone(self) -> Backbone:
         """Points along the loaded tubes, bent to the observed tip."""
-        if self._backbone is None:
-            assert self._statics is not None, "a limit of regions needs the model"  # noqa: S101
-            self._backbone = backbone(self._statics, self._now.loaded, self._now.observed.tip)
-        return self._backbone
+        assert self._near is not None, "a limit of regions needs the tubes"  # noqa: S101
+        return self._near
 
 
 def _custom_loops(

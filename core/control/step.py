@@ -34,8 +34,10 @@ from core.control.tip_direction import (
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import DescriptionError, NotFinite
+from core.model.backbone import backbone
 from core.model.solution import pure_force
 from core.model.statics import Statics
+from core.robot.keep_out import KeepOut
 from core.robot.limits import Limits
 from core.robot.robot import Array
 
@@ -65,6 +67,10 @@ class ControllerState(NamedTuple):
     offset: Offset = NO_OFFSET  #: offset of the setpoint that gives way to the force, if a stiffness is configured
 
 
+#: Largest recorded clearance, also of a robot without regions [m].
+MAX_CLEARANCE_M = 0.1
+
+
 class Tick(NamedTuple):
     """Result of one tick: the command, the new state, and the quantities that telemetry records."""
 
@@ -76,6 +82,7 @@ class Tick(NamedTuple):
     at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
     at_row: Array  #: (m,) 1 where a limit of several joints together is active
     memory: ControllerState
+    clearance: float = MAX_CLEARANCE_M  #: smallest clearance of the tubes from a region [m]
 
     @property
     def delta(self) -> Array:
@@ -152,6 +159,11 @@ class Controller:
         """
         observing = 0.0 if self.senses else 1.0 / (2.0 * math.pi * self.estimator.observer.bandwidth)
         return self.estimator.actuation.lead_time + STAGES_LAG_S + observing
+
+    @cached_property
+    def regions(self) -> tuple[KeepOut, ...]:
+        """Limits of this controller that keep the tubes out of regions."""
+        return tuple(limit for limit in self.limits.others if isinstance(limit, KeepOut))
 
     @cached_property
     def kinks(self) -> Kinks:
@@ -280,6 +292,10 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     if controller.aim.lever > 0.0 or controller.watches:
         direction = _direction_estimate(controller, memory.direction, now, sample)
     slope, offset = memory.slope, NO_OFFSET
+    near, clearance = None, MAX_CLEARANCE_M
+    if controller.regions:
+        near = backbone(controller.statics, now.loaded, now.observed.tip)
+        clearance = min(clearance, *(region.clearance(near).distance for region in controller.regions))
     if isinstance(order, Setpoint):
         followed = order
         if controller.stiffness is not None:
@@ -295,12 +311,12 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         found = command(
             controller.strategy, controller.feedback, limits,
             sample.joints, now, force, followed, tip, memory.origin, drift,
-            controller.aim, tasks, null_space, controller.statics,
+            controller.aim, tasks, null_space, near,
         )  # fmt: skip
     else:
         # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity
-        found = joint_command(limits, sample.joints, now, force, velocity, controller.statics)
+        found = joint_command(limits, sample.joints, now, force, velocity, near)
         order = Setpoint(tip - memory.origin, np.zeros(3))
     finite = sample.tip is None or all(map(math.isfinite, tip.tolist()))  # earlier frames were checked in earlier ticks
     if not (finite and all(map(math.isfinite, found.velocity.tolist()))):
@@ -310,6 +326,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
         ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset),
+        clearance,
     )  # fmt: skip
 
 

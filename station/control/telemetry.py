@@ -96,7 +96,7 @@ class Channels:
             kind, setpoint.time, position, setpoint.velocity,
             *(_NO_DIRECTIONS if memory.direction is None else _directions(tick, memory.direction)),
             _ZERO if true_direction is None else true_direction, _NO_TARGET if target is None else target,
-            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]),
+            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance,
         )  # fmt: skip
         if sensors == ABSENT and memory.deflection is not None:
             self.of(row, "force_filtered")[:] = memory.deflection.force
@@ -158,7 +158,7 @@ def _fill(
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
     request_kind: int, request_time: float, request: Array, request_velocity: Array,
     measured: Array, observed: Array, desired: Array, true_direction: Array, target: Array,
-    deflection_force: Array, deflection_covariance: Array,
+    deflection_force: Array, deflection_covariance: Array, clearance: float,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
@@ -192,7 +192,8 @@ def _fill(
         at = _put(row, at, direction)
     at = _put(row, at, target)
     at = _put(row, at, deflection_force)
-    _put(row, at, deflection_covariance)
+    at = _put(row, at, deflection_covariance)
+    row[at] = clearance
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -266,6 +267,7 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("target_true", "m"),
         *vector("force_by_deflection", "N"),
         *[Channel(f"force_by_deflection_covariance.{pair}", "N^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")],
+        Channel("clearance", "m"),
     ]
 
 
@@ -283,6 +285,7 @@ TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_
 #: Channels that each tick of the controller updates.
 COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
     "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
+    "clearance",
 }  # fmt: skip
 #: Channels of unit vectors; they are 0 if the tip's direction is neither measured nor controlled.
 DIRECTION_CHANNELS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")

@@ -25,7 +25,7 @@ KEPT_GROUPS = frozenset((
     "time", "phase", "joints", "force", "force_filtered", "force_variance", "force_true", "tip_new", "tip_time",
     "tip_measured", "tip_estimated", "tip_unloaded", "tip_desired", "tip_observed", "truth_known", "tip_true",
     "deflection", "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
-    "target_followed", "target_measured", "target_offset", "target_true", "trouble",
+    "target_followed", "target_measured", "target_offset", "target_true", "trouble", "clearance",
 ))  # fmt: skip
 #: Largest number of rows of a case in memory; of a recording of more than 33 minutes only every n-th row is kept.
 MAX_ROWS = 1_000_000

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from core.control.step import MAX_CLEARANCE_M
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.experiments.results import AVERAGING_TICKS, averaged_model
@@ -242,6 +243,25 @@ def overview(run: RecordedRun) -> Iterator[ReportFigure]:
             yield tracking_error(run, case, f"error_{case.name}", "Tracking error")
         yield force(case, f"force_{case.name}", "Estimated force at the tip")
         yield _joints(case)
+        yield from _clearance(case)
+
+
+def _clearance(case: RecordedCase) -> Iterator[ReportFigure]:
+    """Yield the clearance of the tubes from the nearest region; nothing if none was nearer than 100 mm."""
+    if not any(channel.name == "clearance" for channel in case.channels):
+        return  # recorded by an earlier version
+    clearance = 1e3 * case.of("clearance")[:, 0]
+    if clearance.min() >= 1e3 * MAX_CLEARANCE_M:
+        return
+    figure, axes = style.stacked(["clearance [mm]"], height=1.8)
+    style.draw_components(axes, case.time, clearance[:, None], style.LOADED)
+    axes[0].axhline(0.0, color="black", linewidth=0.8)
+    smallest = f"Smallest {clearance.min():.2f} mm at {case.time[clearance.argmin()]:.2f} s."
+    yield ReportFigure(
+        f"clearance_{case.name}", f"Clearance from regions{case.title_suffix}",
+        f"Distance of the tubes from the nearest region less its margin, by the loaded model that is bent to the"
+        f" observed tip. {smallest}", f"Clearance over time. {smallest}", figure,
+    )  # fmt: skip
 
 
 def _path(case: RecordedCase) -> ReportFigure:
