@@ -1,0 +1,76 @@
+"""A run in the virtual lab, and the clearance of its true tubes from regions."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from core.robot.keep_out import KeepOut
+from core.robot.robot import Array
+from station.camera.rendering import centre_points
+from station.config.controllers import PERIOD_S, ControllerFile
+from station.config.loads import Load
+from station.config.motions import Motion, Orders
+from station.config.regions import RegionFile, keep_out
+from station.config.robots import load_robot
+from station.control.loop import ControlLoop
+from station.control.states import State
+from station.control.task import MotionTask, Phase
+from station.lab.config import load_lab
+from station.lab.simulated_bench import SimulatedBench
+from station.lab.virtual_bench import virtual_bench
+
+START = np.array([0.0, 0.5 * np.pi, -0.1])
+CONTROLLER = ControllerFile(inner="type_2", feedback="observer", feedforward=True, load="wrenches")
+ROBOT = load_robot("paper")
+#: Number of points along the true tubes, and number of ticks between two evaluations.
+POINTS, TICKS = 400, 10
+
+
+class ClearanceRun(NamedTuple):
+    """Result of a run."""
+
+    true: float  #: smallest clearance of the true tubes during the motion [m]
+    recorded: float  #: smallest recorded clearance [m]
+    cause: str  #: why the motion ended early; empty if it did not
+
+
+def true_clearance(bench: SimulatedBench, limits: Sequence[KeepOut]) -> float:
+    """Return the present smallest clearance of the true tubes [m]."""
+    shape = bench.shape()
+    arc = np.linspace(0.0, shape.ends.max(), POINTS)
+    radii: Array = np.zeros(POINTS)
+    for end, tube in zip(shape.ends, ROBOT.robot().tubes, strict=True):
+        radii = np.where(arc <= end + 1e-9, np.maximum(radii, 0.5 * tube.outer_diameter), radii)
+    points = centre_points(shape.line, arc)
+    return min(
+        (-1.0 if limit.region.inside else 1.0) * limit.region.distance(point)[0] - radius - limit.region.margin
+        for limit in limits
+        for point, radius in zip(points, radii, strict=True)
+    )
+
+
+def run_between(
+    regions: Sequence[RegionFile], motion: Motion, duration: float, load: Load, *, limited: bool = True,
+    lab: str = "gentle", seed: int = 0,
+) -> ClearanceRun:  # fmt: skip
+    """Run a motion under a load in the virtual lab; `limited`: whether the controller knows the regions."""
+    config = load_lab(lab, ROBOT)
+    controller = CONTROLLER.controller(ROBOT, config.present, regions if limited else [])
+    limits, (bench, devices) = keep_out(regions), virtual_bench(ROBOT, config, seed, START)
+    assert isinstance(bench, SimulatedBench)
+    loop, true, recorded, tick, loaded = ControlLoop(controller, devices), np.inf, np.inf, 0, False
+    loop.connect(0.0)
+    while True:
+        row = loop.tick(tick * PERIOD_S, bench.advance(tick * PERIOD_S))
+        if loop.state is State.READY and loop.progress is None and not loaded:
+            loop.start(MotionTask(controller, Orders(motion, controller.statics.robot), duration, START))
+        elif loop.progress is None and loaded:
+            return ClearanceRun(true, recorded, loop.cause)
+        elif loop.phase is Phase.SETTLING and loop.progress is not None and not loaded:
+            bench.apply_load(load, loop.progress.motion_start)
+            loaded = True
+        elif loop.phase is Phase.MOVING and tick % TICKS == 0 and row is not None:
+            true = min(true, true_clearance(bench, limits))
+            recorded = min(recorded, float(loop.channels.of(row, "clearance")[0]))
+        tick += 1

@@ -1,0 +1,63 @@
+"""Random motions between random obstacles: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE]`.
+
+Each run has three spheres at 2 to 8 mm from the tubes of the start pose, four random waypoints within 12 mm, and a load
+of up to FORCE (0.3 N) in a random direction, which rises in 5 s. The program prints the smallest clearance of the true
+tubes, less the margin of 1 mm, and how many motions ended in HOLD. A motion may be blocked by an obstacle, because the
+path is not checked before its start.
+"""
+
+import sys
+
+import numpy as np
+
+from core.model.backbone import backbone
+from core.robot.keep_out import KeepOut
+from core.robot.robot import Array
+from station.config.loads import RampLoad
+from station.config.motions import WaypointsMotion
+from station.config.regions import SphereRegion, keep_out
+from tests.harness.true_clearance import CONTROLLER, ROBOT, START, run_between
+
+SPHERES, DURATION_S = 3, 16.0
+
+
+def random_spheres(random: np.random.Generator) -> list[SphereRegion]:
+    """Return spheres near the tubes of the start pose, none of which touches them."""
+    statics = CONTROLLER.controller(ROBOT).statics
+    near = backbone(statics, statics.solve(START, np.zeros(6)))
+    found: list[SphereRegion] = []
+    while len(found) < SPHERES:
+        direction: Array = random.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        radius, distance = random.uniform(0.003, 0.015), random.uniform(0.002, 0.008)
+        centre = near.points[random.integers(12, 32)] + (radius + distance + 0.0022) * direction
+        sphere = SphereRegion(name=f"sphere {len(found)}", centre=tuple(centre.tolist()), radius=radius)
+        (limit,) = keep_out([sphere])
+        assert isinstance(limit, KeepOut)
+        if limit.clearance(near).distance > 0.001:
+            found.append(sphere)
+    return found
+
+
+def main() -> None:
+    """Run and print."""
+    lab, runs = sys.argv[1], int(sys.argv[2])
+    largest = float(sys.argv[3]) if len(sys.argv) > 3 else 0.3
+    smallest, stopped = np.inf, 0
+    for seed in range(runs):
+        random = np.random.default_rng(seed)
+        spheres = random_spheres(random)
+        corners = [(4.0 * (number + 1), *random.uniform(-0.012, 0.012, 3).tolist()) for number in range(4)]
+        motion = WaypointsMotion(points=((0.0, 0.0, 0.0, 0.0), *corners))
+        direction = random.normal(size=3)
+        load = RampLoad(
+            direction=tuple(direction.tolist()), times=(1.0, 6.0), magnitudes=(0.0, random.uniform(0.0, largest))
+        )
+        found = run_between(spheres, motion, DURATION_S, load, lab=lab, seed=seed)
+        smallest, stopped = min(smallest, found.true), stopped + bool(found.cause)
+        print(f"{seed}: true {1e3 * found.true:.3f}, recorded {1e3 * found.recorded:.3f} mm {found.cause}", flush=True)  # noqa: T201
+    print(f"smallest of {runs}: {1e3 * smallest:.3f} mm; {stopped} ended in HOLD")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
