@@ -146,7 +146,7 @@ def hold(desk: Desk) -> bytes:
     desk.start(DEMO, 0.2)
     desk.station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
     desk.page.locator("#state", has_text="HOLD").wait_for()
-    return desk.shot(HEADER)
+    return desk.shot({**HEADER, "height": 150})  # with the bar below it, which has the cause
 
 
 def contact(desk: Desk) -> bytes:
