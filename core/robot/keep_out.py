@@ -232,8 +232,10 @@ def _rows(
         room[part], nearest[part, 0] = 1.0 / time, np.inf
         if at < 0:
             continue  # a robot of one tube has no outer ends
-        precise = best < FAR_M and 0 < at < along - 1
-        share = _nearest_share(region, surface, points, at) if precise else 0.0
+        share = 0.0
+        if best < FAR_M and at < along and along > 2:
+            nearest_point, at = at, min(max(at, 1), along - 2)  # the ends have one neighbour
+            share = _nearest_share(region, surface, points, at, nearest_point - at)
         _between(points, at, share, point)
         radius = radii[at]
         if share != 0.0:
@@ -258,9 +260,12 @@ def _between(values: Array, at: int, share: float, out: Array) -> None:
 
 
 @compiled
-def _nearest_share(region: Array, surface: Mesh, points: Array, at: int) -> float:
-    """Return where between the neighbours of point `at` the curve is nearest to the region, from -1 to 1."""
-    low, high, point, direction = -1.0, 1.0, np.empty(3), np.empty(3)
+def _nearest_share(region: Array, surface: Mesh, points: Array, at: int, end: int) -> float:
+    """Return where between the neighbours of point `at` the curve is nearest to the region, from -1 to 1.
+
+    `end` is -1 or 1 if the nearest point is the first or the last one, else 0.
+    """
+    low, high, point, direction = -1.0 if end <= 0 else 0.0, 1.0 if end >= 0 else 0.0, np.empty(3), np.empty(3)
     for _ in range(5):
         left, right = low + (high - low) * 0.4, low + (high - low) * 0.6
         _between(points, at, left, point)

@@ -76,6 +76,16 @@ def test_clearance_counts_radius_and_margin_and_finds_the_point_between_two_poin
     assert np.allclose(found.direction, (1.0, 0.0, 0.0), atol=0.05)
 
 
+@pytest.mark.parametrize("height", [0.001, 0.0022, 0.0978, 0.099])
+def test_clearance_is_found_between_the_last_two_points_of_the_tubes(height: float) -> None:
+    """Points at distances of 6 mm, and a sphere of 5 mm, miss the nearest point by half a millimetre."""
+    line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 17)]))
+    found = KeepOut(Region("ball", "sphere", (0.0, 0.0, height, 0.005), margin=0.0)).clearance(line)
+
+    assert found.distance == pytest.approx(0.012 - 0.005 - 0.001, abs=3e-5)
+    assert found.point[2] == pytest.approx(height, abs=6e-4)
+
+
 def test_rows_bound_the_approach_by_the_clearance_over_a_quarter_of_a_second() -> None:
     line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 33)]))
     limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
