@@ -1,0 +1,62 @@
+"""Motions of the joints stop in front of a region, and the robot retreats from it only during a motion of the tip."""
+
+import numpy as np
+import pytest
+
+from core.control.step import Controller, Sample, Tick, start_controller, step
+from core.control.trajectories import JointMotion, Setpoint
+from core.robot.keep_out import KeepOut
+from station.config.controllers import PERIOD_S, ControllerFile
+from station.config.regions import SphereRegion
+from station.config.robots import load_robot
+
+ROBOT = load_robot("paper")
+START = np.array([0.0, 0.5 * np.pi, -0.1])
+
+
+def controller(offset: tuple[float, float, float], radius: float) -> Controller:
+    """Return a controller with a ball at an offset from the tip of the start pose."""
+    tip = ControllerFile().controller(ROBOT).statics.solve(START, np.zeros(6)).tip
+    ball = SphereRegion(name="ball", centre=tuple((tip + np.array(offset)).tolist()), radius=radius)
+    return ControllerFile(strategy="dual_layer", feedback="observer").controller(ROBOT, regions=[ball])
+
+
+def moved(control: Controller, order: Setpoint | JointMotion | None, seconds: float) -> Tick:
+    """Return the last tick of an order to a robot whose joints follow at once and whose tip is that of the model."""
+    joints, sent = START.copy(), np.zeros(3)
+    at = control.statics.solve(joints, np.zeros(6))
+    memory = start_controller(control, Sample(joints, sent, np.zeros((2, 6)), at.tip, 0.0))
+    tick = None
+    for _ in range(round(seconds / PERIOD_S)):
+        at = control.statics.solve(joints, np.zeros(6), at)
+        tick = step(control, memory, Sample(joints, sent, np.zeros((2, 6)), at.tip, 0.0), order)
+        memory, sent = tick.memory, tick.command
+        joints = joints + PERIOD_S * sent
+    assert tick is not None
+    return tick
+
+
+def test_a_joint_motion_stops_in_front_of_a_region() -> None:
+    """The inner tube slides toward a ball in front of the tip; without the ball it would slide 24 mm."""
+    control = controller((0.006, -0.004, 0.012), 0.004)
+    tick = moved(control, JointMotion(np.array([0.0, 0.0, 0.008])), 3.0)
+
+    assert np.abs(tick.command).max() < 1e-4
+    assert tick.clearance == pytest.approx(0.0, abs=5e-5)
+    assert tick.at_row.any()
+
+
+def test_a_robot_inside_a_margin_retreats_in_a_motion_and_stays_without_one() -> None:
+    control = controller((0.0058, 0.0, 0.0), 0.004)
+    (limit,) = control.regions
+    assert isinstance(limit, KeepOut)
+    before = moved(control, None, PERIOD_S).clearance
+    assert -0.5e-3 < before < -0.1e-3
+
+    assert moved(control, None, 1.0).clearance == pytest.approx(before, abs=1e-6)
+    assert moved(control, Setpoint(np.zeros(3), np.zeros(3)), 1.5).clearance > -0.03e-3
+
+
+def test_a_controller_without_regions_has_the_largest_recorded_clearance() -> None:
+    control = ControllerFile().controller(ROBOT)
+    assert moved(control, None, PERIOD_S).clearance == 0.1
