@@ -18,6 +18,7 @@ from core.errors import CtrError
 from station.cli import (
     bench,
     calibrate,
+    cameras,
     check_driver,
     config_reference,
     design,
@@ -102,6 +103,7 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
 
     bench.add(commands)
     calibrate.add(commands)
+    cameras.add(commands)
     check_driver.add(commands)
     design.add(commands)
     export.add(commands)
