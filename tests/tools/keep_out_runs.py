@@ -1,9 +1,9 @@
-"""Random motions between random obstacles: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE]`.
+"""Random motions between random obstacles: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE [SEED]]`.
 
-Each run has three spheres at 2 to 8 mm from the tubes of the start pose, four random waypoints within 12 mm, and a load
-of up to FORCE (0.3 N) in a random direction, which rises in 5 s. The program prints the smallest clearance of the true
-tubes, less the margin of 1 mm, and how many motions ended in HOLD. A motion may be blocked by an obstacle, because the
-path is not checked before its start.
+Each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least 2 mm from the true ones,
+four random waypoints within 12 mm, and a load of up to FORCE (0.3 N) in a random direction, which rises in 5 s. The
+program prints the smallest clearance of the true tubes, less the margin of 1 mm, and how many motions ended in HOLD. A
+motion may be blocked by an obstacle, because the path is not checked before its start.
 """
 
 import sys
@@ -16,13 +16,16 @@ from core.robot.robot import Array
 from station.config.loads import RampLoad
 from station.config.motions import WaypointsMotion
 from station.config.regions import SphereRegion, keep_out
-from tests.harness.true_clearance import CONTROLLER, ROBOT, START, run_between
+from station.lab.config import load_lab
+from station.lab.simulated_bench import SimulatedBench
+from station.lab.virtual_bench import virtual_bench
+from tests.harness.true_clearance import CONTROLLER, ROBOT, START, run_between, true_clearance
 
 SPHERES, DURATION_S = 3, 16.0
 
 
-def random_spheres(random: np.random.Generator) -> list[SphereRegion]:
-    """Return spheres near the tubes of the start pose, none of which touches them."""
+def random_spheres(random: np.random.Generator, bench: SimulatedBench) -> list[SphereRegion]:
+    """Return spheres near the tubes of the start pose, none of which touches them; `bench` has the true tubes there."""
     statics = CONTROLLER.controller(ROBOT).statics
     near = backbone(statics, statics.solve(START, np.zeros(6)))
     found: list[SphereRegion] = []
@@ -34,7 +37,7 @@ def random_spheres(random: np.random.Generator) -> list[SphereRegion]:
         sphere = SphereRegion(name=f"sphere {len(found)}", centre=tuple(centre.tolist()), radius=radius)
         (limit,) = keep_out([sphere])
         assert isinstance(limit, KeepOut)
-        if limit.clearance(near).distance > 0.001:
+        if min(limit.clearance(near).distance, true_clearance(bench, [limit])) > 0.001:
             found.append(sphere)
     return found
 
@@ -43,10 +46,13 @@ def main() -> None:
     """Run and print."""
     lab, runs = sys.argv[1], int(sys.argv[2])
     largest = float(sys.argv[3]) if len(sys.argv) > 3 else 0.3
+    first = int(sys.argv[4]) if len(sys.argv) > 4 else 0
     smallest, stopped = np.inf, 0
-    for seed in range(runs):
+    for seed in range(first, first + runs):
         random = np.random.default_rng(seed)
-        spheres = random_spheres(random)
+        bench, _ = virtual_bench(ROBOT, load_lab(lab, ROBOT), seed, START)
+        assert isinstance(bench, SimulatedBench)
+        spheres = random_spheres(random, bench)
         corners = [(4.0 * (number + 1), *random.uniform(-0.012, 0.012, 3).tolist()) for number in range(4)]
         motion = WaypointsMotion(points=((0.0, 0.0, 0.0, 0.0), *corners))
         direction = random.normal(size=3)
