@@ -39,6 +39,10 @@ POSITION_LABELS = [f"$X_{axis}$ [mm]" for axis in style.AXES]
 ERROR_LABELS = [f"$E_{axis}$ [mm]" for axis in style.AXES]
 
 
+#: Resolution of a recorded clearance, rounded up [mm].
+RESOLUTION_MM = 0.01
+
+
 def tracking(run: RecordedRun) -> Iterator[ReportFigure]:
     """Yield a figure like the paper's Figs. 7, 8 and 10 for each case: tip error per axis, and force.
 
@@ -251,7 +255,7 @@ def _clearance(case: RecordedCase) -> Iterator[ReportFigure]:
     if not any(channel.name == "clearance" for channel in case.channels):
         return  # recorded by an earlier version
     clearance = 1e3 * case.of("clearance")[:, 0]
-    if clearance.min() >= 1e3 * MAX_CLEARANCE_M:
+    if clearance.min() >= 1e3 * MAX_CLEARANCE_M - RESOLUTION_MM:
         return
     figure, axes = style.stacked(["clearance [mm]"], height=1.8)
     style.draw_components(axes, case.time, clearance[:, None], style.LOADED)

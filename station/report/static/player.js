@@ -180,12 +180,6 @@ function numbers() {
 
 // ---- pictures of the cameras at the cursor, with the tubes and the tips of the recording over them
 
-const svgElement = (name, fields) => {
-  const element = document.createElementNS("http://www.w3.org/2000/svg", name);
-  for (const [key, value] of Object.entries(fields)) element.setAttribute(key, value);
-  return element;
-};
-
 /** A camera's video that follows the cursor. */
 class Picture {
   constructor(source) {
@@ -199,10 +193,11 @@ class Picture {
     }
     this.video = Object.assign(document.createElement("video"), { muted: true, playsInline: true, preload: "auto" });
     this.video.src = URL.createObjectURL(new Blob([bytes(source.mp4)], { type: "video/mp4" }));
-    this.drawing = svgElement("svg", { viewBox: `-0.5 -0.5 ${source.width} ${source.height}`, "aria-hidden": "true" });
     const button = Object.assign(document.createElement("button"), { type: "button", title: "enlarge or reduce" });
     button.setAttribute("aria-label", `picture of camera ${source.name}: enlarge or reduce`);
-    button.append(this.video, this.drawing);
+    button.innerHTML = `<svg viewBox="-0.5 -0.5 ${source.width} ${source.height}" aria-hidden="true"></svg>`;
+    this.drawing = button.firstChild;
+    button.prepend(this.video);
     button.addEventListener("click", () => this.figure.classList.toggle("large"));
     this.figure.append(button, this.caption);
     this.video.addEventListener("seeked", () => this.show());
@@ -226,14 +221,15 @@ class Picture {
   }
 
   draw(outside) {
-    if (!this.view || outside) { this.drawing.replaceChildren(); return; }
-    const line = (points, colour) => svgElement("polyline", { points: points.map((p) => this.pixel(p)).filter(Boolean).map((p) => p.map((v) => v.toFixed(1)).join()).join(" "), fill: "none", stroke: css(colour), "stroke-width": 2, "vector-effect": "non-scaling-stroke" });
+    if (!this.view || outside) { this.drawing.innerHTML = ""; return; }
+    const style = (colour) => `fill="none" stroke="${css(colour)}" stroke-width="2" vector-effect="non-scaling-stroke"`;
+    const line = (points, colour) => `<polyline points="${points.map((p) => this.pixel(p)).filter(Boolean).map((p) => p.map((v) => v.toFixed(1)).join()).join(" ")}" ${style(colour)}/>`;
     const ball = (position, colour) => {
       const at = position && this.pixel(position);
-      return at ? [svgElement("circle", { cx: at[0], cy: at[1], r: this.width / 80, fill: "none", stroke: css(colour), "stroke-width": 2, "vector-effect": "non-scaling-stroke" })] : [];
+      return at ? `<circle cx="${at[0].toFixed(1)}" cy="${at[1].toFixed(1)}" r="${this.width / 80}" ${style(colour)}/>` : "";
     };
-    const tubes = shown.tubes.map((_, k) => shown.tube(frame, k)).map((points, k) => points && line(points, TUBES[k % TUBES.length])).filter(Boolean).reverse();
-    this.drawing.replaceChildren(...tubes, ...ball(shown.tip(frame, 1), TIPS[1].colour), ...(shown.desired ? ball(shown.tip(frame, 0), TIPS[0].colour) : []));
+    const tubes = shown.tubes.map((_, k) => [shown.tube(frame, k), TUBES[k % TUBES.length]]).filter(([points]) => points).map(([points, colour]) => line(points, colour)).reverse();
+    this.drawing.innerHTML = [...tubes, ball(shown.tip(frame, 1), TIPS[1].colour), shown.desired ? ball(shown.tip(frame, 0), TIPS[0].colour) : ""].join("");
   }
 
   /** Column and row of a point by OpenCV's model of a lens; null behind the camera. */
