@@ -116,7 +116,7 @@ def command(
     if strategy.laws is None:
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
         found = inverse_at(limits, joints, *task, rows, room)
-        velocity = with_retreat(limits, context, room, found.velocity)
+        velocity = with_retreat(limits, context, rows, room, found.velocity)
         return CommandResult(velocity, u_int, found.sigma, found.at_bound, found.at_row)
     others, no_objective = _nothing_else(n)
     null_space = no_objective if null_space is None else null_space
@@ -132,7 +132,7 @@ def command(
     ):  # fmt: skip
         raise NotFinite(f"requested tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
     if not room.all():
-        found.velocity[:] = with_retreat(limits, context, room, found.velocity)
+        found.velocity[:] = with_retreat(limits, context, rows, room, found.velocity)
     return found
 
 

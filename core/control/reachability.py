@@ -185,7 +185,7 @@ class _Walk:
         desired = task_rows(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
         jacobian = task_rows(self._aim, at.jacobian, at.rotation)
         found = inverse(jacobian, desired, limits.speed, lower, upper, rows, room)
-        velocity = with_retreat(limits, context, room, found.velocity)
+        velocity = found.velocity if rows is None else with_retreat(limits, context, rows, room, found.velocity)
         self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
         if found.sigma[-1] < NEAR_SINGULAR_M_S:
             self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)

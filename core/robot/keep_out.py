@@ -176,13 +176,15 @@ def smallest_clearance(limits: Sequence[object], near: Backbone) -> tuple[str, C
     return min(found, key=lambda one: one[1].distance, default=None)
 
 
-def with_retreat(limits: Limits, at: LimitContext, room: Array, velocity: Array) -> Array:
+def with_retreat(limits: Limits, at: LimitContext, rows: Array, room: Array, velocity: Array) -> Array:
     """Return joint velocities (n,) with a retreat from the region whose margin the tubes miss most.
+
+    The retreat is as fast as the travel of the joints and the other limits allow, for example the tube order.
 
     Args:
         limits: limits of the robot.
         at: state of the robot.
-        room: room of the rows of `limits` there; it is 0 where a margin is missed.
+        rows, room: rows (m, n) and room (m,) of `limits` there; room is 0 where a margin is missed.
         velocity: joint velocities inside the limits (n,) [rad/s or m/s].
     """
     if room.all():
@@ -190,10 +192,10 @@ def with_retreat(limits: Limits, at: LimitContext, room: Array, velocity: Array)
     worst, row = 0.0, None
     for limit in limits.others:
         if isinstance(limit, KeepOut):
-            rows, _, parts = limit.evaluated(at.backbone)
+            own, _, parts = limit.evaluated(at.backbone)
             part = int(parts[:, 0].argmin())
             if parts[part, 0] < worst:
-                worst, row = float(parts[part, 0]), rows[part]
+                worst, row = float(parts[part, 0]), own[part]
     if row is None:
         return velocity
     scaled = row * limits.speed
@@ -202,7 +204,11 @@ def with_retreat(limits: Limits, at: LimitContext, room: Array, velocity: Array)
         return velocity
     away = max(worst / RETREAT_TIME_S, -MAX_RETREAT_M_S)
     lower, upper = limits.velocity_bounds(at.joints)
-    return np.minimum(np.maximum(velocity + away / square * scaled * limits.speed, lower), upper)
+    retreat = np.minimum(np.maximum(velocity + away / square * scaled * limits.speed, lower), upper) - velocity
+    toward, left = rows @ retreat, np.maximum(room - rows @ velocity, 0.0)
+    blocked = toward > 1e-12
+    share = min(1.0, float((left[blocked] / toward[blocked]).min(initial=1.0)))
+    return velocity + share * retreat
 
 
 @compiled

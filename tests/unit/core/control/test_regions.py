@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from core.control.reachability import SolvedConfiguration
 from core.control.step import Controller, Sample, Tick, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
-from core.robot.keep_out import KeepOut
+from core.robot.keep_out import KeepOut, with_retreat
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.regions import SphereRegion
 from station.config.robots import load_robot
@@ -55,6 +56,20 @@ def test_a_robot_inside_a_margin_retreats_in_a_motion_and_stays_without_one() ->
 
     assert moved(control, None, 1.0).clearance == pytest.approx(before, abs=1e-6)
     assert moved(control, Setpoint(np.zeros(3), np.zeros(3)), 1.5).clearance > -0.03e-3
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_a_retreat_is_as_fast_as_the_other_limits_allow(share: float) -> None:
+    """Another limit, such as the tube order, leaves room for a share of the retreat."""
+    control = controller((0.0058, 0.0, 0.0), 0.004)
+    context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
+    rows, room = control.limits.rows(context)
+    free = with_retreat(control.limits, context, rows, room, np.zeros(3))
+    assert np.abs(free).max() > 1e-4
+
+    other = free / (free @ free)  # its product with the free retreat is 1
+    found = with_retreat(control.limits, context, np.vstack((rows, other)), np.append(room, share), np.zeros(3))
+    assert np.allclose(found, share * free, atol=1e-12)
 
 
 def test_a_controller_without_regions_has_the_largest_recorded_clearance() -> None:
