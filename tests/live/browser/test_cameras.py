@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.harness.chromium import open_tab
 from tests.harness.serving import Served, serving
@@ -114,6 +114,25 @@ def test_model_over_the_picture_can_be_switched_off_and_a_snapshot_saved(page: P
     page.locator(".note", has_text="saved the picture").wait_for()
     page.locator(".camera", has_text="usb").get_by_role("button", name="Snapshot").click()
     page.locator(".note", has_text="no picture of camera usb").wait_for()
+    open_tab(page, "start")
+
+
+def test_answer_that_arrives_after_the_model_was_switched_off_is_not_drawn(page: Page) -> None:
+    open_tab(page, "cameras")
+    figure = page.locator(".camera", has_text="side")
+    box = figure.get_by_label("model over the picture")
+    held: list[Route] = []
+    page.route("**/api/cameras/side/overlay", lambda route: held.append(route))
+    box.check()
+    until(lambda: page.evaluate("() => 1") == len(held))  # each evaluation lets the browser's events arrive
+    box.uncheck()
+    with page.expect_event("requestfinished", lambda request: request.url.endswith("/api/cameras/side/overlay")):
+        held[0].continue_()
+    page.unroute_all()
+    page.wait_for_timeout(300)  # time to draw the answer
+    expect(figure.locator("polyline")).to_have_count(0)
+    box.check()
+    expect(figure.locator("polyline")).not_to_have_count(0)
     open_tab(page, "start")
 
 

@@ -43,8 +43,10 @@ function Camera({ name, width, height, calibrated }) {
   setInterval(async () => {
     if (!live || !shown.checked || pending) return;
     pending = true;
-    try { draw(drawing, await request("GET", `/api/cameras/${id}/overlay`, undefined, TIMEOUT_MS)); } catch { drawing.replaceChildren(); }
+    const overlay = await request("GET", `/api/cameras/${id}/overlay`, undefined, TIMEOUT_MS).catch(() => null);
     pending = false;
+    // The user may have switched the drawing off while the answer was on its way.
+    if (overlay === null || !shown.checked) drawing.replaceChildren(); else draw(drawing, overlay);
   }, OVERLAY_INTERVAL_MS);
   shown.addEventListener("change", () => { if (!shown.checked) drawing.replaceChildren(); legend.hidden = !shown.checked; });
   legend.hidden = !calibrated;
