@@ -89,7 +89,7 @@ def scene_routes(view: SceneView, service: StationService, of: Commands) -> APIR
 
     @router.get("/target", summary="The target, and whether the tip can reach it")
     def get_target() -> TargetOut:
-        plan = view.motion_to_target()
+        plan = view.target_check()
         direction = view.target_direction
         return TargetOut(
             position=_three(view.target), direction=None if direction is None else _three(direction),

@@ -1,6 +1,9 @@
 """Planning of a motion of the tip to a target in the scene, and the check whether the tip can reach it."""
 
 import math
+import threading
+import time
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +26,10 @@ SLOWER_FACTORS = (1.0, 2.0, 4.0)
 MAX_DISTANCE_M = 0.35
 #: Time for which the tip stays at the target after the motion [s].
 HOLD_TIME_S = 3.0
+#: A check stays valid while the target, the joints [rad or m] and the force [N] change less than this.
+TOLERANCES = (1e-5, 1e-4, 1e-3, 0.02)
+#: A check stays valid for this time [s] although joints or force change, as they always do during a run.
+MIN_PERIOD_S = 3.0
 
 
 class TargetMotion(NamedTuple):
@@ -80,3 +87,34 @@ def plan_target_motion(
             continue
         return TargetMotion(motion, time + HOLD_TIME_S, "")
     return TargetMotion(None, 0.0, reason)
+
+
+class TargetCheck:
+    """The last plan of a motion to the target.
+
+    Planning takes up to a second of a busy computer, and every open page asks for the result twice a second.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._state: tuple[Array, ...] = ()
+        self._plan = TargetMotion(None, 0.0, "")
+        self._planned_at = -math.inf
+
+    def plan(self, state: tuple[Array, ...], planned: Callable[[], TargetMotion]) -> TargetMotion:
+        """Return the last plan while it is valid, otherwise a new one.
+
+        Args:
+            state: position of the target (3,) [m], its direction (3,), joints (n,) [rad or m] and force (3,) [N].
+            planned: makes the plan; at most one is made at a time.
+        """
+        with self._lock:
+            same = [
+                float(np.abs(new - old).max()) < tolerance
+                for new, old, tolerance in zip(state, self._state, TOLERANCES, strict=False)
+            ]
+            recent = time.monotonic() - self._planned_at < MIN_PERIOD_S
+            if not same or not all(same[:2]) or not (recent or all(same)):
+                self._state = state
+                self._plan, self._planned_at = planned(), time.monotonic()
+            return self._plan

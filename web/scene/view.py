@@ -26,7 +26,7 @@ from web.scene.history import TipTrace
 from web.scene.overlays import Overlays, ViewOptions, WorkspaceMesh
 from web.scene.proxy import SceneServer
 from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M, Scene
-from web.scene.target import DirectionTarget, TargetMotion, plan_target_motion
+from web.scene.target import DirectionTarget, TargetCheck, TargetMotion, plan_target_motion
 
 #: Number of pictures a second. Trace and target are updated with every third picture, and the contact
 #: with every tenth.
@@ -67,7 +67,7 @@ class SceneView:
         self._has_load = False
         self.scene_server = SceneServer(server.get_port(), boxes(UNITS_PER_M), Counter())
         self._shown = ViewOptions()
-        self._plan: TargetMotion | None = None
+        self._check = TargetCheck()
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viser view")
         self._thread.start()
@@ -96,7 +96,6 @@ class SceneView:
     def set_target(self, position: Array, direction: Array | None = None) -> None:
         """Move the target to `position` (3,) [m] and set the tip's direction there (3,); None: unchanged."""
         self._target.put(position, direction)
-        self._plan = self.motion_to_target()
 
     @property
     def target(self) -> Array:
@@ -108,8 +107,16 @@ class SceneView:
         """Desired direction of the tip at the target (3,); None: the direction is not controlled."""
         return None if self.pointing is None else self._target.direction
 
+    def target_check(self) -> TargetMotion:
+        """Return the motion to the target as last planned, planned anew after a change; see `TargetCheck`."""
+        values = self._supervisor.status().values
+        if not values:
+            return self.motion_to_target()
+        state = (self._target.position, self._target.direction, values["joints"], values["force_filtered"])
+        return self._check.plan(state, self.motion_to_target)
+
     def motion_to_target(self) -> TargetMotion:
-        """Return the motion of the tip from its present position to the target."""
+        """Plan the motion of the tip from its present position to the target."""
         values = self._supervisor.status().values
         if not values:
             return TargetMotion(None, 0.0, "there is no telemetry yet")
@@ -174,7 +181,7 @@ class SceneView:
             self._overlay(status)
             if slow:
                 self._scene.update_trace(self._history)
-                self._show_target()
+                self._target.show(self._shown.target)
                 self._update_force_handle(status)
         self.cameras.follow(reframe=slow)
 
@@ -185,13 +192,6 @@ class SceneView:
         if live:
             uncertainty = math.sqrt(values["bias_covariance"][0])
             self._overlays.update(shown, values["joints"], values["tip_observed"], uncertainty)
-
-    def _show_target(self) -> None:
-        self._target.show(self._shown.target)
-        if not self._shown.target:
-            return
-        if self._target.dragged() is not None or self._plan is None:
-            self._plan = self.motion_to_target()
 
     def _update_force_handle(self, status: StationStatus) -> None:
         """Apply the force of the dragged handle to the simulated tip; otherwise move the handle to the arrow's end."""

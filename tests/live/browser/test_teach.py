@@ -108,7 +108,7 @@ def test_waypoints_are_added_from_the_jog_tab(teach: Page) -> None:
 
 def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: Page, station: Served) -> None:
     take(teach, POINTS)
-    says(teach, "✓ according to the model, the tip reaches all 3 in 8 s")
+    says(teach, "✓ according to the model, the tip reaches all 3, the last one at 8 s")
     assert teach.locator("svg.way circle").count() == 6  # three waypoints, drawn from the side and from above
     teach.get_by_label("waypoint 3 up").click()
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0], [4.0, 0.0, 4.0, 3.0], [8.0, 0.0, 4.0, 0.0]]
@@ -119,7 +119,7 @@ def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: P
     teach.get_by_label("speed between waypoints").fill("1")
     teach.get_by_role("button", name="Times from speed").click()
     assert [row[0] for row in table(teach)] == [0.0, 4.0, 7.0]
-    says(teach, "✓ according to the model, the tip reaches all 3 in 7 s")
+    says(teach, "✓ according to the model, the tip reaches all 3, the last one at 7 s")
     with teach.expect_request("**/api/start") as asked:
         teach.get_by_role("button", name="Start motion").click()
     sent = json.loads(asked.value.post_data or "")
@@ -137,7 +137,7 @@ def test_waypoint_table_is_created_and_changed_by_keyboard_only(teach: Page) -> 
         teach.keyboard.type(text)
         teach.keyboard.press("Tab")
     assert table(teach) == [[5.0, 0.0, 4.0, 0.0]]
-    says(teach, "✓ according to the model, the tip reaches it in 5 s")
+    says(teach, "✓ according to the model, the tip reaches it at 5 s")
     teach.get_by_role("button", name="Add a row").focus()
     teach.keyboard.press("Enter")
     for text in ("9", "0", "6", "0"):

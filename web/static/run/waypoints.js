@@ -102,7 +102,7 @@ export function waypoints(rest, goThere) {
     if (rows().length === 0) showMessage("No waypoint yet: move the tip (tab Jog) and add its position, add a row, or load a file. The first waypoint is the start; all others are relative to it.", false);
     else if (fault !== null) showMessage(`waypoint ${fault.row + 1} is incomplete`, true);
     else if (checkResult === null) showMessage("checking on the model …", false);
-    else if (checkResult.possible) showMessage(`✓ according to the model, the tip reaches ${rows().length === 1 ? "it" : `all ${rows().length}`} in ${tidy(rows().at(-1)[0])} s`, false);
+    else if (checkResult.possible) showMessage(`✓ according to the model, the tip reaches ${rows().length === 1 ? "it" : `all ${rows().length}, the last one`} at ${tidy(rows().at(-1)[0])} s; the rest of the duration below is a pause`, false);
     else showMessage(bad === null ? inPageUnits(text) : `✗ the tip does not reach waypoint ${bad + 1}`, true);
     const usable = rows().filter((row) => row.every(Number.isFinite)).map(([, ...position]) => position);
     picture.replaceChildren(...(usable.length === 0 ? [] : [drawing(usable, checkResult?.path ?? [], bad)]));

@@ -39,18 +39,20 @@ let plane = null, field = null; // plane and field that the user has chosen; nul
 const canvas = make("canvas", { role: "img", "aria-label": "the tip, enlarged" }), caption = make("p");
 const planes = make("select", { "aria-label": "seen from", onchange: () => { plane = planes.value || null; show(); } }, make("option", { value: "" }, "auto"),
   ...Object.keys(PLANES).map((name) => make("option", { value: name }, name)));
-const fold = button("▾", () => {
-  const folded = box.dataset.folded !== "true";
-  box.dataset.folded = folded;
-  fold.textContent = folded ? "▸" : "▾";
-  fold.setAttribute("aria-label", folded ? "show the close-up" : "fold the close-up");
-  show();
-}, { "aria-label": "fold the close-up" });
+const fold = button("▾", () => foldCloseUp(box.dataset.folded !== "true"));
 const box = make("section", { id: "tip", "aria-label": "close-up of the tip" },
   make("header", {}, make("b", {}, "Tip"), planes, button("−", () => zoom(1), { "aria-label": "show more around the tip", "data-zoom": "" }),
     button("+", () => zoom(-1), { "aria-label": "enlarge the tip", "data-zoom": "" }), fold), canvas, caption);
 const modelText = make("span", {}), modelError = make("div", { id: "model-error", hidden: true }, modelText, button("Calibrate", () => openTab("calibrate")));
 $("view").append(box, views, legendBox, modelError);
+foldCloseUp(innerWidth <= 600); // on a phone it would cover the robot's tip
+
+function foldCloseUp(folded) {
+  box.dataset.folded = folded;
+  fold.textContent = folded ? "▸" : "▾";
+  fold.setAttribute("aria-label", folded ? "show the close-up" : "fold the close-up");
+  show();
+}
 
 /** Return the smallest field that contains the last path [mm]; before the first path, the default field. */
 function fittingField() {

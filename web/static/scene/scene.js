@@ -40,6 +40,7 @@ for (const box of boxes) {
 }
 $("go").addEventListener("click", () => sendCommand("POST", "/api/scene/target/go", {}));
 
+const PERIOD_MS = 600; // pause between two requests for the view options
 let disconnectedPolls = 0; // consecutive polls without a connected scene
 
 /** Show a message if only the scene is disconnected. While the page has no data, its banner is below the header. */
@@ -57,7 +58,7 @@ async function refresh() {
     if ($("magnified")) $("magnified").hidden = settings.true_diameter;
     $("target-box").hidden = !settings.target;
     if (!settings.target) return;
-    const target = await request("GET", "/api/scene/target", undefined, 1000);
+    const target = await request("GET", "/api/scene/target", undefined, 5000); // the check on the model takes a second on a busy computer
     const position = target.position.map((x) => (1e3 * x).toFixed(1)).join(", ");
     const direction = target.direction === null ? "" : `, pointing (${target.direction.map((x) => x.toFixed(2)).join(", ")})`;
     const targetText = `(${position}) mm${direction}`;
@@ -69,8 +70,7 @@ async function refresh() {
     return; // the page's header reports that the station does not answer
   }
 }
-setInterval(refresh, 600);
 // Old data does not disable the switches: on a busy computer they would flicker, and the station checks every change.
 onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = !mayCommand(status); });
-refresh();
+(async () => { for (;;) { await refresh(); await new Promise((then) => setTimeout(then, PERIOD_MS)); } })();
 rigAnswer().then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });

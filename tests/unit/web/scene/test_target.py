@@ -23,7 +23,14 @@ from web.scene.gizmos import (
 )
 from web.scene.overlays import reachable_tips
 from web.scene.scene import ARROW_SCALE_M_PER_N, UNITS_PER_M
-from web.scene.target import HOLD_TIME_S, MEAN_TURN_RAD_S, DirectionTarget, TargetMotion, plan_target_motion
+from web.scene.target import (
+    HOLD_TIME_S,
+    MEAN_TURN_RAD_S,
+    DirectionTarget,
+    TargetCheck,
+    TargetMotion,
+    plan_target_motion,
+)
 
 POSE = np.array([0.0, np.pi / 2, -0.1])
 NOTHING = np.zeros(3)
@@ -145,3 +152,32 @@ def test_every_reachable_tip_can_be_targeted(robot: RobotFile, statics: Statics)
     assert all(box.contains(tuple(UNITS_PER_M * tip)) for box in boxes(UNITS_PER_M).values() for tip in tips)
     # The tubes' lengths bound how far a tip can be from the plate.
     assert np.linalg.norm(tips, axis=1).max() < 0.303
+
+
+def test_target_is_checked_again_only_after_a_change() -> None:
+    check, plans = TargetCheck(), []
+
+    def planned() -> TargetMotion:
+        plans.append(TargetMotion(None, float(len(plans)), ""))
+        return plans[-1]
+
+    def asked(target: float = 0.0, joint: float = 0.0, force: float = 0.0) -> TargetMotion:
+        along_z = np.array([0.0, 0.0, 1.0])
+        return check.plan((np.full(3, target), along_z, np.full(3, joint), np.full(3, force)), planned)
+
+    for _ in range(3):
+        assert asked() is plans[0]
+    assert asked(force=0.01) is plans[0]  # noise of the force sensors
+    assert asked(target=1e-3) is plans[1]
+    assert asked(target=1e-3, joint=0.1, force=1.0) is plans[1]  # the tip moves: the last check is still recent
+    assert len(plans) == 2
+
+
+def test_target_is_checked_again_some_time_after_the_tip_has_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("web.scene.target.MIN_PERIOD_S", 0.0)
+    check = TargetCheck()
+    results = [TargetMotion(None, float(number), "") for number in range(3)]
+    following = iter(results)
+    states = [(NOTHING, NOTHING, np.full(3, joint), np.full(3, force)) for joint, force in ((0, 0), (0.1, 0), (0.1, 1))]
+    assert [check.plan(state, lambda: next(following)) for state in states] == results
+    assert check.plan(states[-1], lambda: next(following)) is results[-1]
