@@ -19,7 +19,7 @@ from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import FORMAT, ConfigError, Strict, toml_lines, toml_string
-from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
+from station.control.bench_calibration import CAMERAS_FILE, REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
 from station.devices.aurora.tracker import TrackerMounting
 
 #: File names of the measurements, the numbers and the report.
@@ -54,7 +54,7 @@ def carry_over(known: Path, folder: Path) -> list[Path]:
         ConfigError: a file cannot be read or written.
     """
     copies: list[Path] = []
-    for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE):
+    for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE, CAMERAS_FILE):
         if (known / name).is_file() and not (folder / name).exists():
             try:
                 text = (known / name).read_text(encoding="utf-8")

@@ -1,6 +1,7 @@
 """Runs a procedure in the virtual lab, with the same control loop and drivers as at a bench."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
@@ -24,6 +25,7 @@ from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.aurora.tracker import TrackerMounting
+from station.devices.cameras import CalibratedView
 from station.experiments.job_pool import interrupts
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench
@@ -36,6 +38,7 @@ CONNECT_TIMEOUT_S = 60.0
 def run_headless(
     procedure: Procedure[Result], subject: PlanSubject, lab: LabConfig, seed: int, clock: Clock,
     progress: Callable[[float, str], None], registration: TrackerMounting | None = None,
+    views: Mapping[str, CalibratedView] = MappingProxyType({}),
 ) -> Result:  # fmt: skip
     """Run a procedure to its end and return its result.
 
@@ -47,6 +50,7 @@ def run_headless(
         clock: real or virtual clock.
         progress: function that receives the completed share and the prompt for the operator.
         registration: assumed pose of the tracker.
+        views: calibrated lenses and poses of the cameras that measure the tip.
 
     Raises:
         StoppedByHandError: the operator pressed Ctrl-C.
@@ -54,7 +58,7 @@ def run_headless(
         CtrError: the procedure rejects the measurements.
     """
     guided = GuidedProcedure(procedure)
-    bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration)
+    bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration, views)
     loop = ControlLoop(DEFAULT_CONTROLLER.controller(subject.file), devices)
     loop.connect(0.0)
     rows: list[Array] = []

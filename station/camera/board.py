@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.robot.robot import Array
-from station.camera.rendering import Picture
+from station.lab.rendering import Picture
 
 #: Squares along the long and the short side, and modules along the side of a square; a marker has 7 of them.
 COLUMNS, ROWS, MODULES = 7, 5, 10

@@ -7,11 +7,10 @@ import contextlib
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from station.camera.config import CameraFile
 from station.camera.process import (
     CameraMessage,
     CameraPicture,
@@ -26,6 +25,7 @@ from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import StationClock
 from station.control.ring import Ring
+from station.devices.cameras import CameraFile
 
 #: Time for which a request for pictures is valid [s].
 WATCH_S = 1.5
@@ -184,6 +184,7 @@ class Cameras:
         width: int,
         clock: StationClock,
         seed: int,
+        tracking: Collection[str] = (),
     ) -> None:
         """Prepare the cameras, which `open` starts.
 
@@ -194,9 +195,10 @@ class Cameras:
             width: number of channels in a row of the ring.
             clock: clock of the station.
             seed: seed of everything random in simulated cameras.
+            tracking: names of the cameras whose pictures measure the tip.
         """
         self._setups = [
-            CameraSetup(name, camera, robot, ring.name, width, clock, seed + number)
+            CameraSetup(name, camera, robot, ring.name, width, clock, seed + number, name in tracking)
             for number, (name, camera) in enumerate(cameras.items())
         ]
         self._hosts: dict[str, CameraHost] = {}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.camera.board import corner_positions
-from station.camera.config import LensFile
+from station.devices.cameras import LensFile
 from station.devices.config import Mount
 
 #: Fewest corners of a picture that counts, and fewest such pictures of a camera and of a pair.

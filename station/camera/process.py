@@ -5,24 +5,26 @@ access to the control loop: a camera that stalls, floods or dies delays only its
 """
 
 import contextlib
+import math
 import os
 import signal
+import socket
 from collections import deque
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from station.camera.config import CameraFile
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
 from station.control.realtime import set_process_name
-from station.control.ring import Ring
+from station.control.ring import BALL_PORT, Ring
+from station.devices.cameras import CameraFile
 
 if TYPE_CHECKING:
-    from station.camera.rendering import Picture
     from station.camera.sources import Source
     from station.camera.video import VideoWriter
+    from station.lab.rendering import Picture
 
 #: Longest wait for a frame before the messages are read again [s].
 GRAB_TIMEOUT_S = 0.05
@@ -34,7 +36,7 @@ RATE_SPAN_S = 2.0
 PICTURES_PER_S, JPEG_QUALITY = 15.0, 80
 #: Fraction of the interval between two frames below which a frame is surplus and is not decoded.
 SURPLUS = 0.5
-#: Niceness of the process: other processes of the station go first.
+#: Niceness of the process: other processes of the station go first, unless the camera measures the tip.
 NICENESS = 5
 
 
@@ -49,6 +51,7 @@ class CameraSetup:
     ring_width: int
     clock: StationClock
     seed: int
+    tracks: bool = False  #: whether the camera's pictures measure the tip
 
 
 class Watch(NamedTuple):
@@ -97,7 +100,8 @@ def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
     signals: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     set_process_name("ctr-camera")
-    os.nice(NICENESS)
+    if not setup.tracks:
+        os.nice(NICENESS)
     ring = Ring(setup.ring_width, setup.ring_name)
     capture = _Capture(setup, ring, pipe)
     try:
@@ -124,6 +128,7 @@ class _Capture:
         self._start: StartVideo | None = None  # order whose video starts with the next frame
         self._video: VideoWriter | None = None
         self._recorded, self._video_problem = 0, ""
+        self._to_driver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # pixels of the ball to the driver `stereo`
 
     def step(self) -> bool:
         """Process messages and at most one frame; return False if the station process ends this process."""
@@ -149,6 +154,7 @@ class _Capture:
         """Finish the video and release the camera."""
         self._end_video()
         self._release()
+        self._to_driver.close()
 
     def _release(self) -> None:
         if self._source is not None:
@@ -223,16 +229,30 @@ class _Capture:
         self._newest = exposed
         viewed = exposed >= self._picture_due and self._clock.now() < self._watched_until
         recorded = self._video is not None or self._start is not None
-        if not viewed and not recorded:
+        driver = int(self._ring.numbers[BALL_PORT]) if self._setup.tracks else 0
+        if not viewed and not recorded and not driver:
             return
         picture = source.retrieve()
         if picture is None:
             return
+        if driver:
+            self._send_ball(picture, exposed, driver)
         if recorded:
             self._record(picture, exposed)
         if viewed:
             self._picture_due = max(self._picture_due + 1.0 / PICTURES_PER_S, exposed)
             self._send_picture(picture, exposed)
+
+    def _send_ball(self, picture: "Picture", exposed: float, port: int) -> None:
+        """Find the ball and send its pixels to the driver at a UDP port of this computer."""
+        from station.devices.stereo.ball import find_ball  # imports OpenCV
+        from station.devices.stereo.sighting import Sighting, pack
+
+        ball = find_ball(picture, self._setup.camera.ball)
+        at = (math.nan, math.nan) if ball is None else (ball.column, ball.row)
+        sighting = Sighting(self._setup.name, self._frames, exposed, self._clock.now(), *at)
+        with contextlib.suppress(OSError):  # the control process is being replaced
+            self._to_driver.sendto(pack(sighting), ("127.0.0.1", port))
 
     def _send_picture(self, picture: "Picture", exposed: float) -> None:
         import cv2

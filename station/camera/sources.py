@@ -12,10 +12,10 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Robot
-from station.camera.config import CameraFile, SimulationFile
-from station.camera.projection import true_view_of
 from station.control.clock import StationClock
 from station.control.ring import SHAPE_PORT, Ring
+from station.devices.cameras import CameraFile, SimulationFile
+from station.devices.projection import true_view_of
 from station.lab.plant import TubeShape
 from station.lab.shape_server import ShapeClient
 
@@ -23,7 +23,7 @@ from station.lab.shape_server import ShapeClient
 os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
 import cv2
 
-from station.camera.rendering import Picture, Renderer
+from station.lab.rendering import Picture, Renderer
 
 cv2.setNumThreads(1)
 #: Folder of the stable names of USB cameras.

@@ -27,9 +27,9 @@ from mcap.reader import make_reader
 from zstandard import ZstdError
 
 from core.robot.robot import Array
-from station.camera.config import CameraFile
-from station.camera.projection import view_of
-from station.camera.rendering import Picture
+from station.devices.cameras import CameraFile
+from station.devices.projection import view_of
+from station.lab.rendering import Picture
 from station.recording.data_section import NO_ROWS, DataSection, Topic, WrittenMessage
 from station.recording.drawing import quaternion_of
 from station.recording.foxglove import FrameTransforms, json_topic

@@ -58,6 +58,10 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     calibrate.add_argument(
         "--still", action="store_true", help="measure each pose directly, without simulating the motion or the devices"
     )
+    calibrate.add_argument(
+        "--calibration", type=Path, metavar="DIR",
+        help="folder of an earlier calibration: its cameras measure the tip, and its other files are copied",
+    )  # fmt: skip
     calibrate.add_argument("--realtime", action="store_true", help="run in real time")
     calibrate.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of results (calibrations, inside --data if given)"
@@ -75,21 +79,24 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     from station.calibration.plan import PlanSubject
     from station.calibration.procedure import StoppedByHandError
     from station.config.robots import load_robot
+    from station.control.bench_calibration import BenchCalibration
+    from station.lab.aurora_coil import assumed_mounting
     from station.lab.config import load_lab
 
     robot = load_robot(parsed.robot)
     lab = load_lab(parsed.lab, robot)
     subject = PlanSubject.of(robot, robot_start(robot))
+    views = {} if parsed.calibration is None else BenchCalibration.load(parsed.calibration, robot).views
     start_time = time.perf_counter()
     try:
-        result, robot_s = _run_procedure(parsed, subject, lab)
+        result, robot_s = _run_procedure(parsed, subject, lab, views)
     except StoppedByHandError as error:
         sys.stderr.write(f"ctr-station: {error}\n")
         return 130
     stamp = datetime.now().astimezone()
     folder = new_folder(parsed.out, f"{parsed.what}-seed{parsed.seed}-{stamp:%Y%m%d-%H%M%S}")
     provenance = Provenance(parsed.what, stamp.isoformat(timespec="seconds"), lab.title, parsed.seed, robot_s, True)
-    summary = write_all(folder, result, subject, provenance)
+    summary = write_all(folder, result, subject, provenance, assumed_mounting(lab), parsed.calibration)
     summary["wall_s"] = round(time.perf_counter() - start_time, 3)
     if parsed.json:
         sys.stdout.write(f"{json.dumps(summary)}\n")
@@ -114,7 +121,7 @@ def _from_poses(parsed: argparse.Namespace) -> int:
     return run_validation(parsed, "tubes", parsed.robot, "tubes", write_calibration)
 
 
-def _run_procedure(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[Any, float]:
+def _run_procedure(parsed: argparse.Namespace, subject: Any, lab: Any, views: Any) -> tuple[Any, float]:
     """Run a calibration procedure; return its result, and the time that it takes on a rig [s]."""
     from station.calibration import headless, static_lab
     from station.calibration.catalogue import start_procedure
@@ -133,7 +140,7 @@ def _run_procedure(parsed: argparse.Namespace, subject: Any, lab: Any) -> tuple[
             bench = static_lab.StaticLab(subject, lab, parsed.seed)
             return static_lab.run_static(procedure, bench, progress), bench.time
         clock = RealClock() if parsed.realtime else VirtualClock()
-        result = headless.run_headless(procedure, subject, lab, parsed.seed, clock, progress)
+        result = headless.run_headless(procedure, subject, lab, parsed.seed, clock, progress, views=views)
         # The procedure `latency` is one swing of the joints; all others are series of measurements.
         return result, result.time if parsed.what == "latency" else result.measurements[-1].time
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,10 +15,13 @@ from core.control.step import Controller
 from core.control.tip_force import CALIBRATED_GAIN
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile, load_robot
-from station.config.strict import ConfigError, Format, NotNegative, Row, Strict, Vector, check, read_toml
+from station.config.strict import ConfigError, Format, Name, NotNegative, Row, Strict, Vector, check, read_toml
 from station.devices.aurora.tracker import TrackerMounting
+from station.devices.cameras import CalibratedView
 
 REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE = "registration.toml", "sensors.toml", "robot.toml"
+#: Lenses and poses of cameras; `ctr-station cameras calibrate` writes it.
+CAMERAS_FILE = "cameras.toml"
 
 
 class RegistrationFile(Strict):
@@ -78,6 +81,13 @@ class SensorsFile(Strict):
     """calibration of each tube's sensor by the tube's name; every tube is required"""
 
 
+class ViewsFile(Strict):
+    """`cameras.toml`: calibrated lenses and poses of cameras."""
+
+    cameras: Mapping[Name, CalibratedView]
+    """lens and pose of each camera by its name in the station file"""
+
+
 @dataclass(frozen=True)
 class BenchCalibration:
     """Calibrated parameters of a bench: tubes, pose of the tracker, and corrections of the sensors."""
@@ -87,6 +97,8 @@ class BenchCalibration:
     corrections: Corrections
     folder: Path | None = None  #: folder that the calibration was read from
     fitted_tubes: bool = False  #: whether the tubes were calibrated
+    #: Calibrated lenses and poses of cameras by name.
+    views: Mapping[str, CalibratedView] = field(default_factory=dict[str, CalibratedView])
 
     @classmethod
     def load(cls, folder: Path, described: RobotFile) -> "BenchCalibration":
@@ -98,8 +110,11 @@ class BenchCalibration:
         if not folder.is_dir():
             raise ConfigError(f"{folder}: no such folder; make one with 'ctr-station calibrate'")
         frames, sensors, own = folder / REGISTRATION_FILE, folder / SENSORS_FILE, folder / ROBOT_FILE
-        if not any(path.is_file() for path in (frames, sensors, own)):
-            raise ConfigError(f"{folder}: none of {REGISTRATION_FILE}, {SENSORS_FILE} and {ROBOT_FILE} in it")
+        cameras = folder / CAMERAS_FILE
+        if not any(path.is_file() for path in (frames, sensors, own, cameras)):
+            raise ConfigError(
+                f"{folder}: none of {REGISTRATION_FILE}, {SENSORS_FILE}, {ROBOT_FILE} and {CAMERAS_FILE} in it"
+            )
         file = load_robot(str(own)) if own.is_file() else described
         _of_robot(file.name, described.name, own)
         robot = file.robot()
@@ -115,7 +130,8 @@ class BenchCalibration:
         found = Sensors.ideal(len(robot.tubes))
         if sensors.is_file():
             found = _sensors(check(SensorsFile, read_toml(sensors), str(sensors)), robot, sensors)
-        return cls(file, registration, Corrections(found, coil, axis), folder, own.is_file())
+        views = check(ViewsFile, read_toml(cameras), str(cameras)).cameras if cameras.is_file() else {}
+        return cls(file, registration, Corrections(found, coil, axis), folder, own.is_file(), views)
 
     @property
     def mount(self) -> dict[str, list[float]] | None:

@@ -23,13 +23,14 @@ from station.control.loop import ControlLoop
 from station.control.messages import Command, CommandRefused, DeviceReport, DeviceStatus, Reply, StateNotice
 from station.control.monitors import Margins, OverrunLimits, Overruns
 from station.control.realtime import is_dying, load, request_realtime, set_process_name, too_busy
-from station.control.ring import DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
+from station.control.ring import BALL_PORT, DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
 from station.control.states import State, Transition
 from station.control.task import MotionTask, Phase, StreamRequest
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
 from station.devices.interfaces import Devices, Severity
 from station.devices.registry import emergency_stop, open_devices
+from station.devices.stereo.tracker import StereoTracker
 
 #: Time without heartbeat and without use of a processor after which the station process counts as stalled, so that
 #: motion is stopped [s].
@@ -75,6 +76,8 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
         calls = DriverCalls(ring, setup.clock)
         devices = guard_drivers(open_devices(bench, setup.robot), bench, calls, setup.robot)
         ring.counters[DRIVEN] = 1
+        if isinstance(devices.tracker, StereoTracker):
+            ring.numbers[BALL_PORT] = devices.tracker.port
         try:
             loop = ControlLoop(calls.watched(setup.controller), devices, setup.margins)
             if bench.can_measure_target:

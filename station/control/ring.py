@@ -33,9 +33,10 @@ WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION
 COUNTERS = 10
 #: Indices of the floating-point numbers. A heartbeat is the time at which a process last reported that it is alive, by
 #: the station's clock [s]. SHAPE_PORT is the UDP port at which the virtual lab gives the true shape to simulated
-#: cameras; 0 if it has no such port.
-LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT, SHAPE_PORT = range(8)
-NUMBERS = 8
+#: cameras, and BALL_PORT the one at which the driver `stereo` receives the pixels of the ball; 0 if there is no port.
+LATE_MAX, TICK_MAX, PROGRESS, HEARTBEAT, STATION_HEARTBEAT, LAB_HEARTBEAT, RECORDER_HEARTBEAT = range(7)
+SHAPE_PORT, BALL_PORT = 7, 8
+NUMBERS = 9
 #: Number of cells of the lab's ground truth. The cells are: write count (odd during a write), tip, force, whether there
 #: is a target, position of the target, direction of the tip.
 TRUTH = 14

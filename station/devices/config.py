@@ -39,7 +39,9 @@ class BenchFile(Strict):
     @property
     def can_measure_target(self) -> bool:
         """Whether the tracker may measure a target: true for an Aurora with a second coil and for custom drivers."""
-        return self.tracker is not None and (self.tracker["driver"] != "aurora" or bool(self.tracker.get("target")))
+        if self.tracker is None or self.tracker["driver"] == "stereo":
+            return False
+        return self.tracker["driver"] != "aurora" or bool(self.tracker.get("target"))
 
     @property
     def present(self) -> Present:

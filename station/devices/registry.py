@@ -24,6 +24,7 @@ from station.devices.config import BenchFile
 from station.devices.gcode.emergency_stop import gcode_emergency_stop
 from station.devices.gcode.stages import gcode
 from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
+from station.devices.stereo.tracker import stereo
 from station.devices.zaber.emergency_stop import zaber_emergency_stop
 from station.devices.zaber.stages import zaber
 from station.devices.zaber_ascii.emergency_stop import zaber_ascii_emergency_stop
@@ -40,7 +41,7 @@ Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
     "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii, "cia402": cia402, "gcode": gcode},
-    "tracker": {"aurora": aurora},
+    "tracker": {"aurora": aurora, "stereo": stereo},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
 #: Emergency stops of the built-in drivers of stages.

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
 from threading import Lock
+from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, cast
 
 from pydantic import Field
@@ -37,6 +38,7 @@ from station.config.strict import (
 )
 from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
+from station.devices.cameras import CalibratedView
 from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.recording.run_outcome import counted_from
@@ -103,6 +105,8 @@ class Case(NamedTuple):
     start: Array  #: (n,) [rad or m]
     registration: TrackerMounting | None = None  #: pose of the tracker relative to the robot, from a calibration
     warnings: tuple[str, ...] = ()  #: messages about loads that the joints cannot compensate
+    #: Calibrated lenses and poses of the cameras that measure the tip.
+    views: Mapping[str, CalibratedView] = MappingProxyType({})
 
 
 class Experiment(NamedTuple):
@@ -274,7 +278,8 @@ def _case(
         )
         force_of(file.load, 0.0)
         registration = None if calibration is None else calibration.registration
-        described = Case(name, file, robot, lab, controller, orders, start, registration)
+        views = {} if calibration is None else calibration.views
+        described = Case(name, file, robot, lab, controller, orders, start, registration, views=views)
         if checked is None:
             return described
         motion = repr(

@@ -68,7 +68,7 @@ def run_case(
         record: function that receives each row. With this function no row stays in memory, however long the run is.
     """
     wall = time.perf_counter()
-    lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration)
+    lab, devices = virtual_bench(case.robot, case.lab, seed, case.start, case.registration, case.views)
     loop = ControlLoop(case.controller, devices)
     rows: list[Array] = []
     # Times of the rows count from the motion's start. Rows in memory are converted together after the run.

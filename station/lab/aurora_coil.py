@@ -10,7 +10,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.devices.aurora.session import USUAL_REPLY_S
 from station.devices.aurora.tracker import TrackerMounting
-from station.lab.config import TrackerConfig
+from station.lab.config import LabConfig, TrackerConfig
 
 WAVE_COUNT = 8
 #: Shortest and longest wave of the distortion [m]; the shortest is longer than half of the measured cube.
@@ -50,6 +50,13 @@ class Distortion:
 #: Pose of the field generator in the virtual lab: 0.2 m behind the front plate, turned by half a turn about x, so that
 #: the robot's workspace is in the middle of the measurement volume.
 GENERATOR_POSE = TrackerMounting(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, -0.2]))
+
+
+def assumed_mounting(config: LabConfig) -> TrackerMounting:
+    """Return the assumed pose of the tracker, or of the world of the cameras, in the robot's frame."""
+    return TrackerMounting(np.eye(3), np.zeros(3)) if config.cameras else GENERATOR_POSE
+
+
 #: Measurement volume, a 0.5 m cube in the generator's frame, and distance beyond it at which a coil is lost [mm].
 VOLUME_MM = ((-250.0, 250.0), (-250.0, 250.0), (-550.0, -50.0))
 VISIBLE_BEYOND_MM = 50.0

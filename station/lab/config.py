@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 
 from station.config.controllers import Present
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, Format, NotNegative, Row, Strict, Vector, check, preset, read_toml
+from station.config.strict import ConfigError, Format, Name, NotNegative, Row, Strict, Vector, check, preset, read_toml
+from station.devices.cameras import ONE_CAMERA, CameraFile, check_cameras
 
 
 class TubeError(Strict):
@@ -203,6 +204,8 @@ class LabConfig(Strict):
     """errors of the bench that the station does not know"""
     target: TargetConfig | None = None
     """motion of the target; without a target the tracker has a single coil"""
+    cameras: Mapping[Name, CameraFile] = Field(default={}, max_length=2)
+    """two simulated cameras that measure the tip instead of the tracker; they need the extra `camera`"""
     without: Without = ()
     """devices that the bench does not have: tracker, sensors"""
 
@@ -220,6 +223,20 @@ class LabConfig(Strict):
         """Refuse a target with ideal devices, whose tracker has no second coil."""
         if self.target is not None and self.devices == "ideal":
             raise ValueError("target: ideal devices have no second coil; use devices = 'wire'")
+        return self
+
+    @model_validator(mode="after")
+    def _two_cameras(self) -> Self:
+        """Refuse a single camera, cameras that are not simulated, and cameras that miss the tip or the target."""
+        if not self.cameras:
+            return self
+        if len(self.cameras) < 2:
+            raise ValueError(f"cameras: {ONE_CAMERA}")
+        for name, camera in self.cameras.items():
+            if not camera.simulated:
+                raise ValueError(f"cameras.{name}.device: the virtual lab has only simulated cameras; remove the key")
+        if self.devices == "ideal" or self.target is not None:
+            raise ValueError("cameras: they need devices = 'wire', and they measure no target")
         return self
 
 
@@ -256,6 +273,7 @@ def load_lab(name: LabName, robot: RobotFile) -> LabConfig:
     try:
         lab.plant.check_names(robot)
         lab.hidden.check_names(robot)
+        check_cameras(lab.cameras, virtual=True)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return lab

@@ -19,6 +19,7 @@ from station.config.robots import RobotFile
 from station.config.strict import check
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import freeze_garbage_collection, request_fifo
+from station.devices.cameras import measuring
 from station.devices.config import BenchFile
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
@@ -51,6 +52,10 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
     }
     if config.target is not None:
         tables["tracker"]["target"] = TARGET_SERIAL
+    if config.cameras:
+        tables["tracker"] = {
+            "driver": "stereo", "cameras": tuple(config.cameras), "views": measuring(config.cameras),
+        }  # fmt: skip
     return check(BenchFile, {kind: tables[kind] for kind in tables if kind not in config.without}, "virtual lab")
 
 

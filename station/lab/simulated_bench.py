@@ -6,7 +6,7 @@ station's drivers receive only bytes and datagrams from this bench.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from station.lab.simulated_stages import STAGES
 from station.lab.tip_contact import LoadedPlant
 from station.lab.unmodelled_errors import UnmodelledErrors, random_direction
 from station.lab.wires import Wires, memory_wires
+
+if TYPE_CHECKING:
+    from station.lab.simulated_cameras import SimulatedCamera
 
 #: Periods with which rate and size of the target's oscillations drift [s].
 RATE_DRIFT_PERIOD_S, SIZE_DRIFT_PERIOD_S = 60.0, 45.0
@@ -134,6 +137,11 @@ class SimulatedBench:
             SimulatedNetft(end, config.sensors, rng, BoxSettings(rate=FORCE_RECORD_RATE_HZ, serial=f"FT{number:05}"))
             for number, (end, rng) in enumerate(zip(self._wires.netft, sensors.spawn(len(robot.tubes)), strict=True), 1)
         )
+        self._cameras: tuple[SimulatedCamera, ...] = ()
+        if config.cameras and wires is None:  # in the live lab, the cameras' processes render the pictures
+            from station.lab.simulated_cameras import simulated_cameras  # imports OpenCV
+
+            self._cameras = simulated_cameras(config.cameras, robot.robot(), seed)
         self.faults = FaultScript(robot, self.chain, self.aurora, self.boxes, self._wires[:2])
         self.time = 0.0  #: time up to which the bench is simulated [s]
         self.trouble = ""  #: why the plant (simulated real robot) cannot follow its stages; empty if it follows
@@ -198,6 +206,9 @@ class SimulatedBench:
             axis = self._coil_axis() if self._reports_axis else None
             self.aurora.advance(self.time, now, before, self._coil_position, axis, target)
         simulated_aurora.pump(self._wires.aurora, self.aurora, now)
+        for camera in self._cameras:
+            if (datagram := camera.advance(now, self.shape)) is not None:
+                self.hosts.cameras.put(datagram)
         for box, wrench in zip(self.boxes, self._wrenches, strict=True):
             box.advance(now, wrench)
         self.time = now

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from station.devices.ati.calibration import read_page
 from station.devices.ati.netft import NetftSensors
 from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.tracker import AuroraTracker, TrackerMounting
+from station.devices.cameras import CalibratedView, measuring
 from station.devices.interfaces import (
     Condition,
     DeviceFault,
@@ -29,7 +31,8 @@ from station.devices.interfaces import (
     TipReading,
     WrenchReading,
 )
-from station.lab.aurora_coil import GENERATOR_POSE
+from station.devices.stereo.tracker import StereoTracker
+from station.lab.aurora_coil import assumed_mounting
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.frictional_plant import true_plant
@@ -184,12 +187,14 @@ class VirtualBench(NamedTuple):
 
 
 def virtual_bench(
-    robot: RobotFile, config: LabConfig, seed: int, positions: Array, registration: TrackerMounting | None = None
-) -> VirtualBench:
+    robot: RobotFile, config: LabConfig, seed: int, positions: Array, registration: TrackerMounting | None = None,
+    views: Mapping[str, CalibratedView] = MappingProxyType({}),
+) -> VirtualBench:  # fmt: skip
     """Return a bench with homed stages and the joints at `positions` (n,); nothing is connected yet.
 
     `seed` determines everything random. `registration` is the pose of the tracker that the driver assumes; by default
-    it is the nominal pose in the lab.
+    it is the nominal pose in the lab. `views` are the calibrated lenses and poses of the cameras that measure the tip;
+    by default their nominal ones.
 
     Raises:
         PoseError, NoSolution: the plant (simulated real robot) has no shape there.
@@ -199,12 +204,26 @@ def virtual_bench(
         devices = lab.devices
     else:
         lab = SimulatedBench(robot, config, seed, positions, homed=True)
-        devices = drivers(lab, registration or GENERATOR_POSE)
+        devices = drivers(lab, registration, views)
     return VirtualBench(lab, replace(devices, **dict.fromkeys(config.without)))
 
 
-def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE) -> Devices:
-    """Return drivers at the host ends of the lab's wires in memory."""
+def drivers(
+    lab: SimulatedBench, registration: TrackerMounting | None = None,
+    views: Mapping[str, CalibratedView] = MappingProxyType({}),
+) -> Devices:  # fmt: skip
+    """Return drivers at the host ends of the lab's wires in memory; see `virtual_bench`."""
+    mounting = registration or assumed_mounting(lab.config)
+    return Devices(
+        STAGES[lab.config.stages].driver(lab.setups, lab.hosts.stages),
+        StereoTracker(lab.hosts.cameras, measuring(lab.config.cameras, views), mounting)
+        if lab.config.cameras
+        else _aurora(lab, mounting),
+        NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
+    )
+
+
+def _aurora(lab: SimulatedBench, mounting: TrackerMounting) -> AuroraTracker:
     tracker = lab.config.tracker
     target = "" if lab.config.target is None else TARGET_SERIAL
     settings = AuroraSettings(
@@ -213,11 +232,7 @@ def drivers(lab: SimulatedBench, registration: TrackerMounting = GENERATOR_POSE)
         latency=tracker.latency,
         measures_axis=tracker.direction_noise is not None,
     )
-    return Devices(
-        STAGES[lab.config.stages].driver(lab.setups, lab.hosts.stages),
-        AuroraTracker(lab.hosts.aurora, settings, registration),
-        NetftSensors(lab.hosts.netft, [read_page(box.page() or b"") for box in lab.boxes]),
-    )
+    return AuroraTracker(lab.hosts.aurora, settings, mounting)
 
 
 #: Largest number of ticks that a bench in memory needs to reach the state READY, and number of ticks after that.
@@ -247,7 +262,8 @@ def warm_up_control(
         memory = step(replace(controller, watches=True), memory, still, None).memory
     StreamedTip(DEFAULT_MOTION_BOUNDS).advance(0.0, None, PERIOD_S)
     # Compile the drivers' code, too: while a driver compiles at its first frame or record, its device would seem dead.
-    lab, devices = virtual_bench(robot, config, seed, joints)
+    # A simulated camera would import OpenCV, which the control process does not need.
+    lab, devices = virtual_bench(robot, config.model_copy(update={"cameras": {}}), seed, joints)
     loop = ControlLoop(controller, devices)
     loop.connect(0.0)
     ready = 0

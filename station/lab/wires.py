@@ -198,6 +198,29 @@ class MemoryDatagrams:
         self._open = False
 
 
+class MemoryInbox:
+    """Receiver of the datagrams of simulated cameras in memory."""
+
+    port = 0
+
+    def __init__(self) -> None:
+        self._waiting: deque[bytes] = deque(maxlen=MAX_PENDING_DATAGRAMS)
+
+    def put(self, datagram: bytes) -> None:
+        """Send a datagram to the receiver."""
+        self._waiting.append(datagram)
+
+    def receive(self) -> list[bytes]:
+        """Return the datagrams that the cameras have sent."""
+        datagrams = list(self._waiting)
+        self._waiting.clear()
+        return datagrams
+
+    def close(self) -> None:
+        """Discard the datagrams."""
+        self._waiting.clear()
+
+
 class Wires(NamedTuple):
     """The simulated devices' ends of the wires."""
 
@@ -212,6 +235,7 @@ class Hosts(NamedTuple):
     stages: HostPort
     aurora: HostPort
     netft: tuple[MemoryDatagrams, ...]
+    cameras: MemoryInbox
 
 
 def memory_wires(tubes: int, stages: str = "zaber") -> tuple[Wires, Hosts]:
@@ -219,4 +243,4 @@ def memory_wires(tubes: int, stages: str = "zaber") -> tuple[Wires, Hosts]:
     line, aurora = HostPort(stages), HostPort("aurora")
     ends = tuple(MemoryDatagramEnd() for _ in range(tubes))
     links = tuple(end.link(f"netft {number}") for number, end in enumerate(ends, 1))
-    return Wires(line.device, aurora.device, ends), Hosts(line, aurora, links)
+    return Wires(line.device, aurora.device, ends), Hosts(line, aurora, links, MemoryInbox())

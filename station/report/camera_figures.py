@@ -14,9 +14,9 @@ from core.errors import CtrError
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.camera.config import MODULES
-from station.camera.projection import CameraView, view_of
 from station.config import palette
+from station.devices.cameras import MODULES
+from station.devices.projection import CameraView, view_of
 from station.recording.run_folder import video_files
 from station.recording.run_outcome import RecordingError
 from station.report import document, style

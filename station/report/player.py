@@ -23,11 +23,11 @@ from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
-from station.camera.config import MODULES
-from station.camera.projection import view_of
 from station.config.controllers import ControllerFile
 from station.config.robots import RobotFile
 from station.config.strict import check
+from station.devices.cameras import MODULES
+from station.devices.projection import view_of
 from station.recording.run_folder import video_files, write_atomically
 from station.recording.run_outcome import RecordingError
 from station.report.run import NoRun, RecordedCase, RecordedRun, ReportError, read_run

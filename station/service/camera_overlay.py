@@ -9,13 +9,13 @@ import numpy as np
 from core.errors import CtrError
 from core.model.solution import pure_force
 from core.robot.robot import Array
-from station.camera.config import CameraFile
-from station.camera.projection import CameraView, view_of
 from station.config.controllers import PERIOD_S
 from station.config.strict import Strict
 from station.control.ring import HEARTBEAT, RING_ROWS, Ring
 from station.control.states import State
 from station.control.telemetry import stale_groups
+from station.devices.cameras import CameraFile
+from station.devices.projection import CameraView, view_of
 from station.recording.run_outcome import desired
 from station.service.status import STALE_AFTER_S
 from station.service.supervisor import Supervisor

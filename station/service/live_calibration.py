@@ -39,7 +39,7 @@ from station.control.states import RefusedError, State
 from station.control.task import MotionTask
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.config import Mount
-from station.lab.aurora_coil import GENERATOR_POSE
+from station.lab.aurora_coil import assumed_mounting
 from station.service.permits import Permit
 from station.service.runs import StartRequest
 from station.service.station_file import Rig
@@ -357,7 +357,7 @@ def assumed_mount(bench: Rig) -> TrackerMounting:
     if bench.calibration is not None and bench.calibration.registration is not None:
         return bench.calibration.registration
     if bench.devices is None or bench.devices.tracker is None:
-        return GENERATOR_POSE
+        return assumed_mounting(bench.lab)
     mount = check(Mount, bench.devices.tracker.get("mount", {}), "devices.tracker.mount")
     return TrackerMounting(mount.rotation, np.array(mount.position))
 

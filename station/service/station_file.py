@@ -15,7 +15,6 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
-from station.camera.config import CameraFile, CamerasFile, check_cameras
 from station.config.controllers import ControllerFile, Present, default_controller
 from station.config.regions import RegionFile, Regions, resolved
 from station.config.robots import RobotFile, load_robot, named_pose
@@ -24,8 +23,10 @@ from station.control.bench_calibration import BenchCalibration
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.monitors import Margins, OverrunLimits, check_design
 from station.control.process import ControlSetup
+from station.devices.cameras import CameraFile, CamerasFile, check_cameras, measuring
 from station.devices.config import BenchFile, DevicesFile
 from station.devices.registry import emergency_stop, plan
+from station.devices.stereo.tracker import with_views
 from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.virtual_bench import warm_up_control
 
@@ -91,11 +92,24 @@ class Rig:
         return self.lab.present if self.devices is None else self.devices.present
 
     def registered(self, devices: BenchFile) -> BenchFile:
-        """Return the devices with the calibrated pose of the tracker."""
-        mount = None if self.calibration is None else self.calibration.mount
-        if mount is None or devices.tracker is None:
+        """Return the devices with the calibrated pose of the tracker and the calibrated views of its cameras."""
+        calibration = self.calibration
+        if calibration is None or devices.tracker is None:
             return devices
-        return devices.model_copy(update={"tracker": {**devices.tracker, "mount": mount}})
+        tracker = dict(devices.tracker)
+        if calibration.mount is not None:
+            tracker["mount"] = calibration.mount
+        if tracker["driver"] == "stereo":
+            tracker["views"] = measuring(self.cameras, calibration.views)
+        return devices.model_copy(update={"tracker": tracker})
+
+    @property
+    def tracking_cameras(self) -> tuple[str, ...]:
+        """Names of the cameras that measure the tip."""
+        if self.devices is None:
+            return tuple(self.lab.cameras)
+        tracker = self.devices.tracker
+        return tuple(tracker["cameras"]) if tracker is not None and tracker["driver"] == "stereo" else ()
 
     @property
     def control(self) -> ControlSetup:
@@ -264,13 +278,21 @@ class StationFile(Strict):
             check_pose(Statics(robot.robot()), limits, park)
             devices = None if self.devices == "virtual" else self.clock.with_patience(self.devices)
             unstoppable = ""
+            cameras = dict(self.cameras)
             if devices is not None:
+                if devices.tracker is not None:
+                    tracker = with_views(devices.tracker, self.cameras)
+                    devices = devices.model_copy(update={"tracker": tracker})
                 plan(devices, robot)
                 if emergency_stop(devices.stages, robot) is None:
                     unstoppable = UNSTOPPABLE.format(driver=devices.stages["driver"])
             snaps = check_design(assumed, self.margins)
             clock = self.clock.for_devices(self.devices)
             check_cameras(self.cameras, virtual=devices is None)
+            if devices is None:
+                if both := cameras.keys() & lab.cameras.keys():
+                    raise ConfigError(f"cameras.{min(both)}: the lab has a camera of this name; use another name")
+                cameras = {**lab.cameras, **cameras}
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{line_reference(self._table, str(error))}") from None
         return Rig(
@@ -288,7 +310,7 @@ class StationFile(Strict):
             clock=clock,
             lab_name=str(self.lab) if devices is None else "",
             robot_name=self.robot,
-            cameras=self.cameras,
+            cameras=cameras,
             keep_out=regions,
             warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
         )

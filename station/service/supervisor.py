@@ -81,7 +81,9 @@ class Supervisor:
         self.statics = Statics(self.robot)
         self.ring = Ring(ring_width(bench.robot))
         width = ring_width(bench.robot)
-        self.cameras = Cameras(bench.cameras, bench.robot, self.ring, width, bench.clock, bench.seed)
+        self.cameras = Cameras(
+            bench.cameras, bench.robot, self.ring, width, bench.clock, bench.seed, bench.tracking_cameras
+        )
         self._runs = Runs(bench, self.ring, folder, self.cameras)
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
         self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)

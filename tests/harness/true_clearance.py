@@ -7,7 +7,6 @@ import numpy as np
 
 from core.robot.keep_out import KeepOut
 from core.robot.robot import Array
-from station.camera.rendering import centre_points
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.loads import Load
 from station.config.motions import Motion, Orders
@@ -17,6 +16,7 @@ from station.control.loop import ControlLoop
 from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.lab.config import load_lab
+from station.lab.rendering import centre_points
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import virtual_bench
 

@@ -46,6 +46,7 @@ from station.devices.aurora.protocol import (
     parse_tx,
     system_words,
 )
+from station.devices.jump_gate import JumpGate
 
 
 class FrameQuality(IntEnum):
@@ -94,12 +95,7 @@ class FrameCounts:
 #: Largest drift between the clocks of tracker and computer [s/s], tolerance of a frame's time [frames], and number of
 #: consistent frames after which a count that does not fit the clock is accepted: the unit has restarted it.
 MAX_CLOCK_DRIFT, TOLERANCE_FRAMES, FRAMES_TO_RESTART = 5e-4, 1.5, 5
-#: Largest speed of a coil [mm/s] and distance of its jitter [mm]; a position further away counts as a jump, until this
-#: number of consistent frames confirms it.
-MAX_COIL_SPEED, JITTER_MM, FRAMES_TO_ACCEPT_JUMP = 500.0, 2.0, 10
 MAX_MISSES = 5  #: number of failed frame requests in a row after which the session restarts
-#: Longest time for which a coil may have moved since its last good position, in the test for jumps: two frames [s].
-MAX_MOTION_TIME_S = 0.05
 
 
 class FrameClock:
@@ -147,33 +143,6 @@ class FrameClock:
         self._doubts = self._doubts + 1 if self._doubts and agrees else 1
         self._doubted = (frame, arrival)
         return self._anchor(frame, arrival) if self._doubts >= FRAMES_TO_RESTART else None
-
-
-class JumpGate:
-    """Rejects positions that a coil cannot have reached since its last good position."""
-
-    def __init__(self) -> None:
-        self._last: tuple[float, tuple[float, ...]] | None = None
-        self._suspect: tuple[float, tuple[float, ...]] | None = None
-        self._agreeing = 0
-
-    def passes(self, time: float, position: tuple[float, ...]) -> bool:
-        """Return whether `position` [mm] at `time` [s] is plausible."""
-        here = (time, position)
-        if not self._near(self._last, here):
-            self._agreeing = self._agreeing + 1 if self._suspect and self._near(self._suspect, here) else 1
-            self._suspect = here
-            if self._agreeing < FRAMES_TO_ACCEPT_JUMP:
-                return False
-        self._last, self._suspect = here, None
-        return True
-
-    def _near(self, before: tuple[float, tuple[float, ...]] | None, here: tuple[float, tuple[float, ...]]) -> bool:
-        if before is None:
-            return True
-        # The limited time prevents that a distant position is accepted at once after a long gap.
-        reach = JITTER_MM + MAX_COIL_SPEED * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
-        return math.dist(before[1], here[1]) <= reach
 
 
 NO_SUCH_COMMAND = (0x01, 0x33)

@@ -23,6 +23,9 @@ from core.errors import CtrError
 if sys.platform != "win32":
     import fcntl
 
+#: Largest number of datagrams read at one call, so that a flood cannot delay the caller.
+MAX_INBOX_DATAGRAMS = 64
+
 
 class LinkError(CtrError):
     """A link cannot be opened or has been lost; the text names the link and what to do."""
@@ -383,3 +386,34 @@ class DatagramLink:
         """Close the socket."""
         self._socket.close()
         self._lock.release()
+
+
+class DatagramInbox:
+    """Datagrams that other processes of this computer send to a free UDP port."""
+
+    def __init__(self) -> None:
+        """Open the port; raises LinkError if there is none."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", 0))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"no UDP port on this computer: {error}") from None
+        self.port: int = self._socket.getsockname()[1]
+
+    def receive(self) -> list[bytes]:
+        """Return the datagrams that have arrived, at most `MAX_INBOX_DATAGRAMS`."""
+        datagrams: list[bytes] = []
+        while len(datagrams) < MAX_INBOX_DATAGRAMS:
+            try:
+                datagrams.append(self._socket.recv(2048))
+            except BlockingIOError:
+                break
+            except OSError as error:
+                raise LinkError(f"UDP port {self.port} is gone: {error}") from None
+        return datagrams
+
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()

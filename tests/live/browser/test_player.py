@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
-from station.camera.config import CameraFile
 from station.camera.video import VideoWriter
 from station.cli.main import main
+from station.devices.cameras import CameraFile
 from station.recording.run_folder import VIDEOS_FOLDER
 from station.report.run import read_run
 from tests.harness.waiting import until

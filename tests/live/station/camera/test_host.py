@@ -12,12 +12,12 @@ import psutil
 import pytest
 
 from station.camera import host as camera_host
-from station.camera.config import CameraFile, SimulationFile
 from station.camera.host import CameraHost, Cameras
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.process import ring_width
 from station.control.ring import Ring
+from station.devices.cameras import CameraFile, SimulationFile
 from tests.harness.waiting import until
 
 Opened = Callable[..., CameraHost]

@@ -14,8 +14,8 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from station.camera.config import CameraFile
-from station.camera.projection import view_of
+from station.devices.cameras import CameraFile
+from station.devices.projection import view_of
 from tests.harness.camera_ball import ball_centre
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until

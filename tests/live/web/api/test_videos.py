@@ -12,9 +12,9 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from station.camera.config import CameraFile
-from station.camera.projection import view_of
 from station.camera.video import decode_frames
+from station.devices.cameras import CameraFile
+from station.devices.projection import view_of
 from station.recording.data_section import TELEMETRY_TOPIC
 from station.recording.read import read_case
 from station.recording.recover import recover

@@ -10,13 +10,13 @@ import pytest
 from core.calibration.rigid_transform import kabsch
 from core.robot.robot import Array
 from station.camera.board import CHECK_MM, Corners, board_svg, corner_positions
-from station.camera.config import SIDE_POSE, CameraFile, LensFile, SimulationFile
 from station.camera.lens_calibration import CalibrationRefused, View, calibrate_lens, calibrate_pair, composed
-from station.camera.projection import CameraView, true_view_of, view_of
+from station.camera.simulated_board import board_pose, picture
 from station.cli.main import main
+from station.devices.cameras import SIDE_POSE, CameraFile, LensFile, SimulationFile
 from station.devices.config import Mount
+from station.devices.projection import CameraView, true_view_of, view_of
 from station.service.station_file import load_station
-from tests.harness.simulated_board import board_pose, picture
 
 SIZE, SQUARE = (1280, 720), 0.020
 LENS = LensFile(focal=(1280.0, 1280.0), centre=(640.0, 360.0), distortion=(-0.05, 0.02, 0.0005, -0.0005, 0.0))

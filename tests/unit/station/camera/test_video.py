@@ -13,9 +13,6 @@ from mcap_ros1.decoder import DecoderFactory
 from numpy.typing import NDArray
 
 from core.robot.robot import Robot
-from station.camera.config import CameraFile, SimulationFile
-from station.camera.projection import view_of
-from station.camera.rendering import Renderer
 from station.camera.video import (
     VideoWriter,
     camera_of,
@@ -26,7 +23,10 @@ from station.camera.video import (
     stills,
     write_mp4,
 )
+from station.devices.cameras import CameraFile, SimulationFile
+from station.devices.projection import view_of
 from station.lab.plant import TubeShape
+from station.lab.rendering import Renderer
 from station.recording.recover import recover
 from station.recording.run_folder import VIDEOS_FOLDER, free_space_problem
 from station.recording.run_outcome import RecordingError

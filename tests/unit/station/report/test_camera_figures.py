@@ -9,11 +9,11 @@ import pytest
 
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.camera.config import CameraFile, SimulationFile
-from station.camera.projection import view_of
 from station.camera.video import VideoWriter
 from station.config.robots import RobotFile
 from station.control.telemetry import Channels
+from station.devices.cameras import CameraFile, SimulationFile
+from station.devices.projection import view_of
 from station.recording.run_folder import VIDEOS_FOLDER
 from station.report.camera_figures import camera_pictures, moments, overlay_at
 from station.report.page import write_report

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from station.camera.config import CameraFile
 from station.config.controllers import PERIOD_S
 from station.control.ring import HEARTBEAT, RING_ROWS, Ring
+from station.devices.cameras import CameraFile
 from station.service.camera_overlay import NO_CALIBRATION, overlay, rows_at
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor

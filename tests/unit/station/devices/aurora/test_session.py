@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from station.devices.aurora.session import FrameClock, JumpGate
+from station.devices.aurora.session import FrameClock
+from station.devices.jump_gate import JumpGate
 
 
 def test_late_replies_do_not_move_the_time_of_a_frame():

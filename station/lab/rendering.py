@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.robot.robot import Array, Robot
-from station.camera.config import CameraFile, SimulationFile
-from station.camera.projection import CameraView
+from station.devices.cameras import CameraFile, SimulationFile
+from station.devices.projection import CameraView
 from station.lab.plant import TubeShape
 
 Picture = NDArray[np.uint8]  #: (rows, columns, 3) blue, green, red

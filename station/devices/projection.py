@@ -5,11 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from core.robot.robot import Array
-from station.camera.config import CameraFile, LensFile, SimulationFile
+from station.devices.cameras import CameraFile, LensFile, SimulationFile
 from station.devices.config import Mount
 
 #: Smallest distance in front of a camera at which a point is projected [m].
 NEAREST_M = 1e-3
+#: Passes of the fixed-point iteration that removes the lens's distortion from a pixel.
+STRAIGHTENING_PASSES = 12
 
 
 class CameraView(NamedTuple):
@@ -46,6 +48,21 @@ class CameraView(NamedTuple):
         down = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
         fx, fy, cx, cy = self.matrix[0, 0], self.matrix[1, 1], self.matrix[0, 2], self.matrix[1, 2]
         return np.column_stack((fx * across + cx, fy * down + cy))
+
+    def straightened(self, pixel: Array) -> tuple[float, float]:
+        """Return x/z and y/z, in the camera's frame, of the points that are seen at a pixel (2,), column and row."""
+        (fx, fy), (cx, cy) = self.matrix[[0, 1], [0, 1]].tolist(), self.matrix[:2, 2].tolist()
+        seen_x, seen_y = (float(pixel[0]) - cx) / fx, (float(pixel[1]) - cy) / fy
+        k1, k2, p1, p2, k3 = self.distortion.tolist()
+        x, y = seen_x, seen_y
+        for _ in range(STRAIGHTENING_PASSES if any(self.distortion) else 0):
+            square = x * x + y * y
+            radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+            x, y = (
+                (seen_x - 2.0 * p1 * x * y - p2 * (square + 2.0 * x * x)) / radial,
+                (seen_y - p1 * (square + 2.0 * y * y) - 2.0 * p2 * x * y) / radial,
+            )
+        return x, y
 
 
 def view_of(camera: CameraFile) -> CameraView | None:

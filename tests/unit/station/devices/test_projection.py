@@ -5,9 +5,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.camera.config import CameraFile, LensFile, SimulationFile
-from station.camera.projection import CameraView, true_view_of, view_of
+from station.devices.cameras import CameraFile, LensFile, SimulationFile
 from station.devices.config import Mount
+from station.devices.projection import CameraView, true_view_of, view_of
 
 COEFFICIENT = st.floats(-0.3, 0.3)
 

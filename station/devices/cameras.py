@@ -3,7 +3,8 @@
 import importlib.util
 import math
 from collections.abc import Mapping
-from typing import Annotated, Self
+from types import MappingProxyType
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -16,6 +17,11 @@ SIMULATED = "simulated"
 MODULES = ("cv2", "av")
 #: Largest number of cameras of a station; each uses a process.
 MAX_CAMERAS = 4
+#: Why one camera is not a tracker.
+ONE_CAMERA = (
+    "one camera alone cannot track the tip: the distance of the tip from the camera would be uncertain by several"
+    " millimetres; add a second camera"
+)
 #: Largest number of bits that a video uses for a pixel of a frame.
 VIDEO_BITS_PER_PIXEL = 0.15
 
@@ -72,6 +78,8 @@ class CameraFile(Strict):
     pose: Mount | None = None
     """pose of the camera in the world: its x axis is along the rows, its y axis along the columns, and z looks at the
     robot; without it a USB camera shows no overlay. A simulated camera is by default 0.4 m next to the robot"""
+    ball: Literal["green", "red", "blue"] = "green"
+    """colour of the ball at the tip, if the camera tracks the tip"""
     simulation: SimulationFile | None = None
     """noise, latency and losses of a simulated camera"""
 
@@ -106,6 +114,28 @@ _THIRD_TURN = 2.0 * math.pi / math.sqrt(27.0)
 SIDE_POSE = Mount(position=(0.02, -0.4, 0.13), rotation_vector=(-_THIRD_TURN, -_THIRD_TURN, -_THIRD_TURN))
 
 CamerasFile = Annotated[Mapping[Name, CameraFile], Field(max_length=MAX_CAMERAS)]
+
+
+class CalibratedView(Strict):
+    """Calibrated lens and pose of a camera."""
+
+    lens: LensFile
+    """lens of the camera"""
+    pose: Mount
+    """pose of the camera in the world"""
+
+
+def measuring(
+    cameras: Mapping[str, CameraFile], calibrated: Mapping[str, CalibratedView] = MappingProxyType({})
+) -> dict[str, CameraFile]:
+    """Return cameras as a driver knows them: with calibrated lenses and poses, and without simulated errors."""
+    return {
+        name: camera.model_copy(
+            update={"simulation": None}
+            | ({"lens": calibrated[name].lens, "pose": calibrated[name].pose} if name in calibrated else {})
+        )
+        for name, camera in cameras.items()
+    }
 
 
 def check_cameras(cameras: Mapping[str, CameraFile], *, virtual: bool) -> None:

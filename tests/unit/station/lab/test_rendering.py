@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from core.robot.robot import Array, Robot
-from station.camera.config import CameraFile, LensFile, SimulationFile
-from station.camera.projection import view_of
-from station.camera.rendering import BALL, Renderer
+from station.devices.cameras import CameraFile, LensFile, SimulationFile
+from station.devices.projection import view_of
 from station.lab.plant import TubeShape
+from station.lab.rendering import BALL, Renderer
 
 
 def shape(tip: Array, force: Array | None = None) -> TubeShape:
