@@ -57,7 +57,7 @@ class CameraHost:
     """Owner of the process of one camera; its methods are thread-safe and never wait for the camera."""
 
     def __init__(self, setup: CameraSetup) -> None:
-        self.name, self.camera = setup.name, setup.camera
+        self.name, self.camera = setup.name, setup.known
         self._setup, self._clock = setup, setup.clock
         self._child = ChildProcess(run_camera, setup, name=f"camera {setup.name}")
         self._started = self._reported = setup.clock.now()
@@ -179,6 +179,7 @@ class Cameras:
     def __init__(
         self,
         cameras: Mapping[str, CameraFile],
+        known: Mapping[str, CameraFile],
         robot: RobotFile,
         ring: Ring,
         width: int,
@@ -189,7 +190,8 @@ class Cameras:
         """Prepare the cameras, which `open` starts.
 
         Args:
-            cameras: cameras of the station file.
+            cameras: cameras of the station file and of the virtual lab.
+            known: the same cameras, calibrated and without simulated errors.
             robot: robot that a simulated camera renders.
             ring: shared memory, which has the address of the virtual lab's true shape.
             width: number of channels in a row of the ring.
@@ -198,7 +200,7 @@ class Cameras:
             tracking: names of the cameras whose pictures measure the tip.
         """
         self._setups = [
-            CameraSetup(name, camera, robot, ring.name, width, clock, seed + number, name in tracking)
+            CameraSetup(name, camera, known[name], robot, ring.name, width, clock, seed + number, name in tracking)
             for number, (name, camera) in enumerate(cameras.items())
         ]
         self._hosts: dict[str, CameraHost] = {}

@@ -46,6 +46,7 @@ class CameraSetup:
 
     name: str
     camera: CameraFile
+    known: CameraFile  #: the camera as the station knows it: calibrated, and without simulated errors
     robot: RobotFile
     ring_name: str
     ring_width: int
@@ -187,7 +188,7 @@ class _Capture:
                 if not start.folder.parent.is_dir():
                     return  # the run ended before the first frame
                 setup = self._setup
-                self._video = VideoWriter(next_video(start.folder, setup.name), setup.name, setup.camera, start.epoch)
+                self._video = VideoWriter(next_video(start.folder, setup.name), setup.name, setup.known, start.epoch)
             if self._video is not None:
                 self._video.write(picture, exposed)
                 self._recorded = self._video.frames

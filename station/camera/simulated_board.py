@@ -62,7 +62,7 @@ def shared_pose(views: Sequence[CameraView], random: np.random.Generator, square
     across = views[0].rotation[0] - (views[0].rotation[0] @ ahead) * ahead
     across /= np.linalg.norm(across)
     facing = np.column_stack((across, np.cross(ahead, across), ahead))
-    rotation = facing @ cv2.Rodrigues(random.uniform(-0.26, 0.26, 3))[0]
+    rotation = facing @ np.asarray(cv2.Rodrigues(random.uniform(-0.26, 0.26, 3))[0], np.float64)
     middle = np.mean([view.position + SHARED_DISTANCE_M * view.rotation[2] for view in views], axis=0)
     centre = middle + random.uniform(-0.03, 0.03, 3)
     return rotation, centre - rotation @ np.array([0.5 * COLUMNS * square, 0.5 * ROWS * square, 0.0])

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
+from core.calibration.rigid_transform import RigidTransform, vector_from_rotation
 from core.robot.robot import Array, Base
 from station.config.controllers import Present
 from station.config.strict import ConfigError, Strict, Vector
@@ -75,6 +76,12 @@ class Mount(Strict):
     def rotation(self) -> Array:
         """Rotation matrix (3, 3) from the axes of the device's frame to those of the other frame."""
         return Base(self.position, self.rotation_vector).rotation
+
+    def moved(self, by: RigidTransform) -> "Mount":
+        """Return the pose after a rigid transform of the other frame."""
+        whole = by.after(RigidTransform(self.rotation, np.array(self.position)))
+        position, vector = whole.position.tolist(), vector_from_rotation(whole.rotation).tolist()
+        return Mount(position=(*position,), rotation_vector=(*vector,))
 
 
 Part = TypeVar("Part")

@@ -104,6 +104,21 @@ class Rig:
         return devices.model_copy(update={"tracker": tracker})
 
     @property
+    def known_cameras(self) -> dict[str, CameraFile]:
+        """The cameras in the robot's frame, with calibrated lenses and poses, and without simulated errors."""
+        calibration = self.calibration
+        if calibration is None:
+            return measuring(self.cameras)
+        known, mounting = measuring(self.cameras, calibration.views), calibration.registration
+        if mounting is None:
+            return known
+        for name in self.tracking_cameras:
+            pose = known[name].view
+            if pose is not None:
+                known[name] = known[name].model_copy(update={"pose": pose[1].moved(mounting)})
+        return known
+
+    @property
     def tracking_cameras(self) -> tuple[str, ...]:
         """Names of the cameras that measure the tip."""
         if self.devices is None:

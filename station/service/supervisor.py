@@ -82,7 +82,14 @@ class Supervisor:
         self.ring = Ring(ring_width(bench.robot))
         width = ring_width(bench.robot)
         self.cameras = Cameras(
-            bench.cameras, bench.robot, self.ring, width, bench.clock, bench.seed, bench.tracking_cameras
+            bench.cameras,
+            bench.known_cameras,
+            bench.robot,
+            self.ring,
+            width,
+            bench.clock,
+            bench.seed,
+            bench.tracking_cameras,
         )
         self._runs = Runs(bench, self.ring, folder, self.cameras)
         self._state = StateMonitor(self.ring, self.channels, bench.clock)

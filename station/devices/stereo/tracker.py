@@ -38,8 +38,8 @@ MAX_AHEAD_FRAMES, MAX_GAP_FRAMES = 1.6, 3.5
 PIXEL_DEVIATION = 0.1
 #: Largest standard deviation of a position in its most uncertain direction [m].
 MAX_DEVIATION_M = 1e-3
-#: Weight of a new value in the mean square of the residuals.
-RESIDUAL_WEIGHT = 0.02
+#: Weight of a new value in the mean square of the residuals, and RMS from which on a warning is shown [pixel].
+RESIDUAL_WEIGHT, WARN_PIXELS = 0.05, 1.0
 
 
 class Problem(StrEnum):
@@ -193,10 +193,14 @@ class StereoTracker:
         return reading
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return a WARN after 0.17 s without a position, and a HOLD after 0.35 s."""
+        """Return a WARN after 0.17 s without a position or if the cameras disagree, and a HOLD after 0.35 s."""
         age = now - self._good_time
         if age <= WARN_AFTER_S and not self._lost:
-            return None
+            apart = math.sqrt(self._residual_square)
+            if apart < WARN_PIXELS:
+                return None
+            text = f"the lines of sight of the two cameras miss each other by {apart:.1f} pixels: calibrate the cameras"
+            return DeviceFault(Severity.WARN, text)
         severity = Severity.HOLD if self._lost or age > HOLD_AFTER_S else Severity.WARN
         since = "" if math.isinf(age) else f", for {age:.2f} s"
         return DeviceFault(severity, f"the cameras do not track the tip{since}: {self._words(now)}", self._lost)

@@ -37,13 +37,13 @@ def triangulate(views: Sequence[CameraView], pixels: Array) -> Triangulated | No
         rows[both] *= view.matrix[[0, 1], [0, 1]][:, None]
         offsets[both] = rows[both] @ view.position
     weights = np.ones(len(views))
-    position = covariance = np.zeros(3)
+    position, covariance = np.zeros(3), np.zeros((3, 3))
     for _ in range(PASSES):
         weighted = rows * np.repeat(weights, 2)[:, None]
         normal = weighted.T @ weighted
         if np.linalg.cond(normal) > 1e12:
             return None
-        covariance = np.linalg.inv(normal)
+        covariance = np.asarray(np.linalg.inv(normal), np.float64)
         position = covariance @ (weighted.T @ (offsets * np.repeat(weights, 2)))
         depths = np.array([view.rotation[2] @ (position - view.position) for view in views])
         if not (depths > 0.0).all():

@@ -17,7 +17,7 @@ from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.process import ring_width
 from station.control.ring import Ring
-from station.devices.cameras import CameraFile, SimulationFile
+from station.devices.cameras import CameraFile, SimulationFile, measuring
 from tests.harness.waiting import until
 
 Opened = Callable[..., CameraHost]
@@ -32,7 +32,15 @@ def opened(paper: RobotFile) -> Iterator[Opened]:
             width = ring_width(paper)
             ring = Ring(width)
             owned.callback(ring.close, remove=True)
-            cameras = Cameras({"one": CameraFile(**keys)}, paper, ring, width, REAL_TIME_CLOCK, 0)
+            cameras = Cameras(
+                {"one": CameraFile(**keys)},
+                measuring({"one": CameraFile(**keys)}),
+                paper,
+                ring,
+                width,
+                REAL_TIME_CLOCK,
+                0,
+            )
             cameras.open()
             owned.callback(cameras.close)
             cameras.start()

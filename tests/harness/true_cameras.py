@@ -1,0 +1,39 @@
+"""The true lenses and poses of a virtual lab's cameras, as a perfect calibration would find them."""
+
+from pathlib import Path
+
+from core.calibration.rigid_transform import vector_from_rotation
+from station.config.robots import load_robot
+from station.devices.cameras import CalibratedView, LensFile
+from station.devices.config import Mount
+from station.devices.projection import true_view_of
+from station.lab.config import load_lab
+
+
+def true_views(lab: str) -> dict[str, CalibratedView]:
+    """Return lens and pose of each camera of a lab with its simulated errors."""
+    found: dict[str, CalibratedView] = {}
+    for name, camera in load_lab(lab, load_robot("paper")).cameras.items():
+        view = true_view_of(camera)
+        assert view is not None
+        (fx, _, cx), (_, fy, cy), _ = view.matrix.tolist()
+        position, turn = view.position.tolist(), vector_from_rotation(view.rotation.T).tolist()
+        found[name] = CalibratedView(
+            lens=LensFile(focal=(fx, fy), centre=(cx, cy)),
+            pose=Mount(position=(*position,), rotation_vector=(*turn,)),
+        )
+    return found
+
+
+def write_true_views(lab: str, folder: Path) -> Path:
+    """Write `cameras.toml` with the true views to a folder, and return the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines: list[str] = []
+    for name, view in true_views(lab).items():
+        lines += [
+            f"[cameras.{name}.lens]", f"focal = {list(view.lens.focal)}", f"centre = {list(view.lens.centre)}",
+            f"[cameras.{name}.pose]", f"position = {list(view.pose.position)}",
+            f"rotation_vector = {list(view.pose.rotation_vector)}",
+        ]  # fmt: skip
+    (folder / "cameras.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

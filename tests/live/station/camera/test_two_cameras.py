@@ -1,0 +1,63 @@
+"""A live station whose only tracker is two cameras: a run, a camera that is killed, and one that hangs."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import numpy as np
+import psutil
+import pytest
+
+from tests.harness.serving import Served, serving
+from tests.harness.true_cameras import write_true_views
+from tests.harness.waiting import until
+
+CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 6.0}, "duration": 6.0}
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder = write_true_views("two_cameras", tmp_path_factory.mktemp("views"))
+    settings = f'lab = "two_cameras"\ncalibration = "{folder}"\n'
+    with serving(settings=settings) as served:
+        yield served
+
+
+def camera_pids(station: Served) -> set[int]:
+    children = psutil.Process(station.process.pid).children(recursive=True)
+    return {child.pid for child in children if child.name() == "ctr-camera"}
+
+
+def test_run_on_cameras_alone_reaches_its_path(station: Served) -> None:
+    station.ready()
+    devices = station.rest.get("/api/devices").json()["devices"]
+    (tracker,) = (device for device in devices if device["name"] == "tracker")
+    assert tracker["details"]["cameras"] == {"left": "simulated", "right": "simulated"}
+
+    assert station.post("/api/start", CIRCLE).status_code == 202
+    station.wait_for(lambda status: status["phase"] == "moving")
+    errors = []
+    while (status := station.status())["phase"] == "moving":
+        if status["tip_true"] and status["tip_measured"]:
+            errors.append(np.subtract(status["tip_measured"], status["tip_true"]))
+    status = station.wait_for(lambda status: status["state"] != "RUNNING")
+
+    assert status["state"] == "READY", status["message"]
+    assert np.sqrt((np.array(errors) ** 2).sum(axis=1).mean()) < 1e-3  # the newest frame is 50 to 90 ms old
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_run_ends_in_hold_without_one_camera_and_the_camera_returns(station: Served, number: signal.Signals) -> None:
+    station.ready()
+    assert station.post("/api/start", {**CIRCLE, "duration": 3600.0}).status_code == 202
+    station.wait_for(lambda status: status["phase"] == "moving")
+
+    pid = max(camera_pids(station))
+    os.kill(pid, number)
+    held = station.wait_for(lambda status: status["state"] == "HOLD")
+    if number == signal.SIGSTOP:
+        os.kill(pid, signal.SIGCONT)
+
+    assert "no frames arrive (camera " in held["message"]
+    until(lambda: len(camera_pids(station)) == 2)
+    station.ready()
