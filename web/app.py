@@ -270,7 +270,7 @@ def build_app(
     if gateway is not None and gateway.options.igtl is not None:
         app.include_router(gateway_routes(targets, of))
     app.include_router(calibration_routes(calibration, of))
-    app.include_router(camera_routes(service, of))
+    app.include_router(camera_routes(service, calibration.cameras, of))
     app.include_router(queue_routes(service, queue, of))
     app.include_router(runs_routes(RunHistory(runs), of))
     app.include_router(renamed_routes())

@@ -17,6 +17,7 @@ from station.camera.process import (
     CameraReport,
     CameraSetup,
     EndVideo,
+    ShowBoard,
     StartVideo,
     Watch,
     run_camera,
@@ -67,6 +68,8 @@ class CameraHost:
         self._video: StartVideo | None = None  # video that the camera must record; None: no video
         self._ordered: StartVideo | None = None  # video that the camera's process was ordered to record
         self._closing = threading.Event()
+        self._board: ShowBoard | None = None  # board that the simulated camera must show
+        self._shown: ShowBoard | None = None  # board that the camera's process was ordered to show
         self.picture: CameraPicture | None = None  #: newest picture; None: no client needed one
         self._thread = threading.Thread(target=self._run, name=f"camera {setup.name}")
 
@@ -92,6 +95,10 @@ class CameraHost:
         """Record a video in the `folder` of a run's videos; None: end the video."""
         clock = self._clock
         self._video = None if folder is None else StartVideo(folder, time.time_ns() - round(1e9 * clock.now()))
+
+    def show_board(self, board: ShowBoard | None) -> None:
+        """Let a simulated camera show a calibration board; None: the robot again."""
+        self._board = board
 
     @property
     def watched(self) -> bool:
@@ -157,6 +164,9 @@ class CameraHost:
         if (video := self._video) is not self._ordered:
             self._ordered = video
             self._child.pipe.send(EndVideo() if video is None else video)
+        if (board := self._board) is not self._shown:
+            self._shown = board
+            self._child.pipe.send(ShowBoard(0.0, (), 0.0, 1.0) if board is None else board)
         if now - self._sent > CHECK_INTERVAL_S and now < self._watched_until:
             self._sent = now
             self._child.pipe.send(Watch(self._watched_until))
@@ -170,7 +180,7 @@ class CameraHost:
             return
         self._child.pipe.close()
         self._child = ChildProcess(run_camera, self._setup, name=f"camera {self.name}")
-        self._reported, self._ended, self._ordered = self._clock.now(), "", None
+        self._reported, self._ended, self._ordered, self._shown = self._clock.now(), "", None, None
 
 
 class Cameras:

@@ -67,6 +67,15 @@ def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.bool_]:
     return cells
 
 
+def paired(first: Sequence[View], second: Sequence[View]) -> int:
+    """Return the number of pairs of pictures that show enough of the same corners."""
+    others = {view.name: view for view in second}
+    return sum(
+        view.name in others and len(np.intersect1d(view.numbers, others[view.name].numbers)) >= MIN_CORNERS
+        for view in first
+    )
+
+
 def calibrate_lens(views: Sequence[View], size: tuple[int, int], square: float) -> LensResult:
     """Return the lens of a camera with pictures of `size` (columns, rows), from views of a board.
 
@@ -169,6 +178,67 @@ def calibrate_pair(
 def composed(pose: Mount, relative: Mount) -> Mount:
     """Return the pose in the world of a camera with a pose relative to another camera at `pose`."""
     return _mount(pose.rotation @ relative.rotation, pose.rotation @ np.array(relative.position) + pose.position)
+
+
+class Pictured(NamedTuple):
+    """The views of the board that one camera has taken."""
+
+    views: list[View]
+    size: tuple[int, int]  #: columns and rows of a picture
+
+
+class CamerasResult(NamedTuple):
+    """Calibration of one camera or of two."""
+
+    lenses: dict[str, LensResult]
+    pair: PairResult | None  #: None: one camera
+    sentences: tuple[str, ...]  #: the result in words
+    toml: str  #: tables `[cameras.NAME.lens]` and `[cameras.NAME.pose]`
+
+
+def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mount | None) -> CamerasResult:
+    """Return lens and pose of one camera or of two, from pictures of a board.
+
+    Args:
+        pictured: views by the name of the camera; the first camera keeps its pose.
+        square: side of the board's squares [m].
+        pose: pose of the first camera in the world; None: not known.
+
+    Raises:
+        CalibrationRefused: the pictures do not determine the lens or the pose; the message names the camera.
+    """
+    lenses: dict[str, LensResult] = {}
+    sentences: list[str] = []
+    for name, (views, size) in pictured.items():
+        try:
+            lenses[name] = result = calibrate_lens(views, size, square)
+        except CalibrationRefused as error:
+            raise CalibrationRefused(f"camera {name}: {error}") from None
+        left_out = f"; left out: {', '.join(result.outliers)}" if result.outliers else ""
+        sentences.append(
+            f"{name}: focal lengths {result.lens.focal[0]:.1f}, {result.lens.focal[1]:.1f} +/-"
+            f" {result.focal_deviation:.1f} pixels; corners {result.rms:.2f} pixels from the model (RMS);"
+            f" {result.used} of {len(views)} pictures, {100 * result.coverage:.0f} % of the picture{left_out}"
+        )
+    first, *others = pictured
+    tables, pair = [camera_toml(first, lenses[first].lens, pose)], None
+    for second in others:
+        good = {
+            name: [view for view in pictured[name].views if view.name not in lenses[name].outliers]
+            for name in (first, second)
+        }
+        pair = calibrate_pair(
+            good[first], good[second], (lenses[first].lens, lenses[second].lens), pictured[first].size, square
+        )
+        distance = 1e3 * float(np.linalg.norm(pair.relative.position))
+        sentences.append(
+            f"{first} and {second}: {distance:.1f} mm apart; corners {pair.rms:.2f} pixels from the model (RMS);"
+            f" {pair.used} pairs of pictures"
+        )
+        tables.append(camera_toml(second, lenses[second].lens, composed(pose or Mount(), pair.relative)))
+        if pose is None:
+            sentences.append(f"The pose of {second} is in the frame of {first}, whose pose is not known.")
+    return CamerasResult(lenses, pair, tuple(sentences), "\n".join(tables))
 
 
 def camera_toml(name: str, lens: LensFile, pose: Mount | None) -> str:

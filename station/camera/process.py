@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
 from station.control.realtime import set_process_name
@@ -72,6 +73,15 @@ class EndVideo(NamedTuple):
     """Message of the station process: finish the video, if one is recorded."""
 
 
+class ShowBoard(NamedTuple):
+    """Message of the station process: a simulated camera shows a calibration board instead of the robot."""
+
+    square: float  #: side of the board's squares [m]; 0: show the robot again
+    poses: tuple[tuple[Array, Array], ...]  #: rotation and position of the board, one after the other
+    start: float  #: time of the first pose, by the station's clock [s]
+    each: float  #: time of each pose [s]
+
+
 class CameraPicture(NamedTuple):
     """Message of the camera: a picture for the clients."""
 
@@ -93,6 +103,7 @@ class CameraReport(NamedTuple):
 
 
 CameraMessage = CameraPicture | CameraReport
+CameraOrder = Watch | StartVideo | EndVideo | ShowBoard
 
 
 def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
@@ -129,12 +140,13 @@ class _Capture:
         self._start: StartVideo | None = None  # order whose video starts with the next frame
         self._video: VideoWriter | None = None
         self._recorded, self._video_problem = 0, ""
+        self._board: ShowBoard | None = None
         self._to_driver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # pixels of the ball to the driver `stereo`
 
     def step(self) -> bool:
         """Process messages and at most one frame; return False if the station process ends this process."""
         while self._pipe.poll():
-            message: Watch | StartVideo | EndVideo | None = self._pipe.recv()
+            message: CameraOrder | None = self._pipe.recv()
             match message:
                 case None:
                     return False
@@ -144,6 +156,10 @@ class _Capture:
                     self._start_video(message)
                 case EndVideo():
                     self._end_video()
+                case ShowBoard():
+                    self._board = message if message.square > 0.0 else None
+                    if self._source is not None:
+                        self._source.show_board(self._board)
         if self._source is None:
             self._open()
         if self._source is not None:
@@ -205,6 +221,7 @@ class _Capture:
         setup = self._setup
         try:
             self._source = open_source(setup.camera, setup.robot.robot(), self._ring, self._clock, setup.seed)
+            self._source.show_board(self._board)
         except CameraLost as error:
             self._lost(str(error))
 

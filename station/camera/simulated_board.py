@@ -68,19 +68,28 @@ def shared_pose(views: Sequence[CameraView], random: np.random.Generator, square
     return rotation, centre - rotation @ np.array([0.5 * COLUMNS * square, 0.5 * ROWS * square, 0.0])
 
 
+def board_poses(cameras: Mapping[str, CameraFile], square: float, seed: int) -> tuple[tuple[Array, Array], ...]:
+    """Return `PICTURES` rotations and positions of a board in front of the simulated cameras of a station.
+
+    The board is in turn anywhere in the picture of each camera, and, every second time, where all cameras see it.
+    """
+    random = np.random.default_rng(seed)
+    views = [view for camera in cameras.values() if (view := true_view_of(camera)) is not None]
+    poses: list[tuple[Array, Array]] = []
+    for number in range(PICTURES):
+        turn = number % (2 * len(views))
+        alone = turn % 2 == 0 or len(views) < 2
+        poses.append(board_pose(views[turn // 2], random, square) if alone else shared_pose(views, random, square))
+    return tuple(poses)
+
+
 def simulated_pictures(
     cameras: Mapping[str, CameraFile], square: float, seed: int
 ) -> Iterator[tuple[str, Mapping[str, NDArray[np.uint8]]]]:
-    """Yield names and pictures of all cameras of a virtual lab, of a board in `PICTURES` poses.
-
-    The board is in turn anywhere in the picture of each camera, and where all cameras see it.
-    """
-    random = np.random.default_rng(seed)
+    """Yield names and pictures of all cameras of a virtual lab, of a board in the poses of `board_poses`."""
+    random = np.random.default_rng((seed, 1))
     views = {name: view for name, camera in cameras.items() if (view := true_view_of(camera)) is not None}
-    places = list(views.values())
-    for number in range(PICTURES):
-        turn = number % (len(places) + 2)  # every second picture for all cameras
-        pose = board_pose(places[turn], random, square) if turn < len(places) else shared_pose(places, random, square)
+    for number, pose in enumerate(board_poses(cameras, square, seed)):
         yield (
             f"{number:02}",
             {

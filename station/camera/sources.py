@@ -6,7 +6,7 @@ A frame is first grabbed, which is cheap, and decoded or rendered only if a clie
 import os
 from collections import deque
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,7 +23,11 @@ from station.lab.shape_server import ShapeClient
 os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
 import cv2
 
+from station.camera.simulated_board import picture as board_picture
 from station.lab.rendering import Picture, Renderer
+
+if TYPE_CHECKING:
+    from station.camera.process import ShowBoard
 
 cv2.setNumThreads(1)
 #: Folder of the stable names of USB cameras.
@@ -49,6 +53,10 @@ class Source(Protocol):
 
     def retrieve(self) -> Picture | None:
         """Return the picture of the grabbed frame; None: it cannot be decoded."""
+        ...
+
+    def show_board(self, board: "ShowBoard | None") -> None:
+        """Show a calibration board instead of the robot; None: the robot. A real camera ignores it."""
         ...
 
     def close(self) -> None:
@@ -107,6 +115,9 @@ class UsbCamera:
         good, picture = self._capture.retrieve()
         return np.ascontiguousarray(picture, np.uint8) if good else None
 
+    def show_board(self, board: "ShowBoard | None") -> None:
+        """Do nothing: a person holds the board in front of a real camera."""
+
     def close(self) -> None:
         """Release the camera."""
         self._capture.release()
@@ -128,7 +139,10 @@ class SimulatedCamera:
         view = true_view_of(camera)
         if view is None:
             raise CameraLost("a simulated camera needs a lens and a pose")
-        self._renderer = Renderer(robot, camera, view, seed)
+        self._view, self._renderer = view, Renderer(robot, camera, view, seed)
+        self._board: ShowBoard | None = None
+        self._board_picture: tuple[int, Picture] | None = None  # number of the pose, and its picture
+        self._exposed = 0.0  # time of the grabbed frame [s]
         self._random = np.random.default_rng((seed, 1))
         self._client = ShapeClient()
         self._due = clock.now()
@@ -142,7 +156,8 @@ class SimulatedCamera:
             now = self._clock.now()
             if self._coming and self._coming[0].arrival <= now:
                 arrival, self._shape = self._coming.popleft()
-                return arrival - self._camera.latency
+                self._exposed = arrival - self._camera.latency
+                return self._exposed
             if now >= self._due:
                 self._expose(now)
                 continue
@@ -154,7 +169,19 @@ class SimulatedCamera:
 
     def retrieve(self) -> Picture | None:
         """Render the grabbed frame."""
-        return self._renderer.render(self._shape)
+        board = self._board
+        if board is None:
+            return self._renderer.render(self._shape)
+        number = int(max(0.0, self._exposed - board.start) / board.each) % len(board.poses)
+        if self._board_picture is None or self._board_picture[0] != number:  # it takes longer than a frame
+            size = (self._camera.width, self._camera.height)
+            shown = board_picture(self._view, size, board.square, *board.poses[number], self._random)
+            self._board_picture = number, shown
+        return self._board_picture[1]
+
+    def show_board(self, board: "ShowBoard | None") -> None:
+        """Show a calibration board; see `Source`."""
+        self._board, self._board_picture = board, None
 
     def close(self) -> None:
         """Close the connection to the lab."""

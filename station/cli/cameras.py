@@ -10,7 +10,7 @@ from station.cli.options import number_between, progress_bar, seed
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from station.camera.lens_calibration import LensResult, View
+    from station.camera.lens_calibration import Pictured
     from station.devices.cameras import CameraFile
 
 #: Endings of picture files.
@@ -70,10 +70,9 @@ def _board(parsed: argparse.Namespace) -> int:
 
 def _calibrate(parsed: argparse.Namespace) -> int:
     _check_extra()
-    from station.camera.lens_calibration import calibrate_lens, calibrate_pair, camera_toml, composed
+    from station.camera.lens_calibration import calibrate_cameras
     from station.config.robots import load_robot
     from station.config.strict import ConfigError
-    from station.devices.config import Mount
     from station.lab.config import load_lab
     from station.recording.run_folder import write_atomically
     from station.service.station_file import load_station
@@ -89,33 +88,10 @@ def _calibrate(parsed: argparse.Namespace) -> int:
         found = _simulated(cameras, square, parsed.seed)
     else:
         found = {name: _views(name, Path(folder)) for name, folder in _named(parsed.folders).items()}
-    results: dict[str, LensResult] = {}
-    for name, (views, size) in found.items():
-        results[name] = result = calibrate_lens(views, size, square)
-        left_out = f"; left out: {', '.join(result.outliers)}" if result.outliers else ""
-        sys.stdout.write(
-            f"{name}: focal lengths {result.lens.focal[0]:.1f}, {result.lens.focal[1]:.1f} +/-"
-            f" {result.focal_deviation:.1f} pixels; corners {result.rms:.2f} pixels from the model (RMS);"
-            f" {result.used} of {len(views)} pictures, {100 * result.coverage:.0f} % of the picture{left_out}\n"
-        )
-    first, *others = found
-    pose = cameras[first].pose if first in cameras else None
-    tables = [camera_toml(first, results[first].lens, pose)]
-    for second in others:
-        size = found[first][1]
-        views, other_views = (
-            [view for view in found[name][0] if view.name not in results[name].outliers] for name in (first, second)
-        )
-        pair = calibrate_pair(views, other_views, (results[first].lens, results[second].lens), size, square)
-        distance = 1e3 * sum(one * one for one in pair.relative.position) ** 0.5
-        sys.stdout.write(
-            f"{first} and {second}: {distance:.1f} mm apart; corners {pair.rms:.2f} pixels from the model (RMS);"
-            f" {pair.used} pairs of pictures\n"
-        )
-        tables.append(camera_toml(second, results[second].lens, composed(pose or Mount(), pair.relative)))
-        if pose is None:
-            sys.stdout.write(f"The pose of {second} is in the frame of {first}, whose pose is not known.\n")
-    write_atomically("\n".join(tables), parsed.out)
+    first = next(iter(found))
+    result = calibrate_cameras(found, square, cameras[first].pose if first in cameras else None)
+    sys.stdout.write("".join(f"{sentence}\n" for sentence in result.sentences))
+    write_atomically(result.toml, parsed.out)
     sys.stdout.write(f"{parsed.out}: copy its tables to the station file, or its folder is a --calibration\n")
     return 0
 
@@ -130,31 +106,29 @@ def _named(folders: list[str]) -> dict[str, str]:
     return named
 
 
-def _simulated(
-    cameras: "Mapping[str, CameraFile]", square: float, seed: int
-) -> "dict[str, tuple[list[View], tuple[int, int]]]":
+def _simulated(cameras: "Mapping[str, CameraFile]", square: float, seed: int) -> "dict[str, Pictured]":
     """Return the corners in simulated pictures of a virtual lab's cameras, and the pictures' columns and rows."""
     from station.camera.board import Corners
-    from station.camera.lens_calibration import View
+    from station.camera.lens_calibration import Pictured, View
     from station.camera.simulated_board import PICTURES, simulated_pictures
 
     corners = Corners()
-    found = {name: (list[View](), (camera.width, camera.height)) for name, camera in cameras.items()}
+    found = {name: Pictured([], (camera.width, camera.height)) for name, camera in cameras.items()}
     with progress_bar() as bar:
         taken = simulated_pictures(cameras, square, seed)
         for number, pictures in bar.track(taken, total=PICTURES, description="corners in simulated pictures"):
             for name, picture in pictures.items():
-                found[name][0].append(View(number, *corners.find(picture)))
+                found[name].views.append(View(number, *corners.find(picture)))
     return found
 
 
-def _views(name: str, folder: Path) -> "tuple[list[View], tuple[int, int]]":
+def _views(name: str, folder: Path) -> "Pictured":
     """Return the corners in every picture of a folder, and the pictures' columns and rows."""
     import cv2
     import numpy as np
 
     from station.camera.board import Corners
-    from station.camera.lens_calibration import View
+    from station.camera.lens_calibration import Pictured, View
     from station.config.strict import ConfigError
 
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
@@ -170,4 +144,4 @@ def _views(name: str, folder: Path) -> "tuple[list[View], tuple[int, int]]":
             if len(sizes) > 1:
                 raise ConfigError(f"{path}: the pictures of a camera must have one size, not {sorted(sizes)}")
             views.append(View(path.stem, *corners.find(np.asarray(picture, np.uint8))))
-    return views, sizes.pop()
+    return Pictured(views, sizes.pop())

@@ -40,6 +40,7 @@ from station.control.task import MotionTask
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.config import Mount
 from station.lab.aurora_coil import assumed_mounting
+from station.service.camera_calibration import CameraCalibration
 from station.service.permits import Permit
 from station.service.runs import StartRequest
 from station.service.station_file import Rig
@@ -271,6 +272,7 @@ class LiveCalibration:
     def __init__(self, supervisor: Supervisor, folder: Path) -> None:
         """Prepare calibrations whose results are written to a new folder inside `folder`."""
         self.supervisor, self.folder = supervisor, folder
+        self.cameras = CameraCalibration(supervisor, folder)
         self._session: CalibrationSession | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -335,6 +337,7 @@ class LiveCalibration:
 
     def close(self) -> None:
         """Abort the present calibration procedure and wait for its end."""
+        self.cameras.close()
         with contextlib.suppress(RefusedError):
             self.abort("the station has ended")
         if self._thread is not None:

@@ -6,15 +6,17 @@ A camera encodes pictures only while a client requests them.
 import asyncio
 from collections.abc import AsyncIterator
 from datetime import datetime
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import Response, StreamingResponse
+from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
 
 from station.camera.host import CameraHost
 from station.camera.process import CameraPicture
-from station.config.strict import Strict
+from station.config.strict import Name, Strict
+from station.service.camera_calibration import BoardState, CameraCalibration
 from station.service.camera_overlay import CameraOverlay, overlay
 from station.service.station_service import StationService
 from web.api.commands import Commands
@@ -29,6 +31,8 @@ POLL_INTERVAL_S = 0.02
 SNAPSHOT_TIMEOUT_S = 4.0
 #: Largest number of streams at the same time, of all cameras and clients; each needs a share of this computer.
 MAX_STREAMS = 8
+#: Smallest and largest side of a square of the calibration board [m].
+MIN_SQUARE_M, MAX_SQUARE_M = 0.005, 0.2
 #: Number of checks for a new picture after which a stream checks whether its client is connected.
 CHECK_EVERY = 50
 
@@ -70,7 +74,24 @@ def camera_out(host: CameraHost) -> CameraOut:
     )  # fmt: skip
 
 
-def camera_routes(service: StationService, of: Commands) -> APIRouter:
+class BoardIn(Strict):
+    """Which cameras to calibrate, with which board."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"cameras": ["left", "right"], "square": 0.035}]})
+
+    cameras: tuple[Name, ...] = Field(min_length=1, max_length=2, strict=False)
+    """names of one camera or of two"""
+    square: Annotated[float, Field(ge=MIN_SQUARE_M, le=MAX_SQUARE_M)] = 0.035
+    """side of a square of the board, measured on the print [m]"""
+
+
+class BoardOut(Strict):
+    """State of the calibration of cameras; null before the first one."""
+
+    board: BoardState | None
+
+
+def camera_routes(service: StationService, calibration: CameraCalibration, of: Commands) -> APIRouter:
     """Return the REST routes under /api/cameras."""
     router = APIRouter(prefix="/api/cameras", tags=["cameras"], dependencies=[Depends(of.renew_lease)])
     supervisor = service.supervisor
@@ -87,6 +108,32 @@ def camera_routes(service: StationService, of: Commands) -> APIRouter:
     @router.get("", summary="Every camera with its state")
     def listed() -> tuple[CameraOut, ...]:
         return tuple(camera_out(host) for host in cameras)
+
+    @router.get("/board.svg", response_class=Response, summary="The calibration board, to print at 100 %")
+    def board(square: Annotated[float, Query(ge=MIN_SQUARE_M, le=MAX_SQUARE_M)] = 0.035) -> Response:
+        from station.camera.board import board_svg  # imports OpenCV
+
+        headers = {"content-disposition": 'inline; filename="board.svg"'}
+        return Response(board_svg(square), media_type="image/svg+xml", headers=headers)
+
+    @router.get("/calibration", summary="State of the calibration of cameras")
+    def board_state() -> BoardOut:
+        return BoardOut(board=calibration.state)
+
+    @router.post("/calibration", status_code=202, summary="Start to take pictures of the board", **of.command)
+    async def start_board(request: BoardIn) -> BoardOut:
+        await asyncio.to_thread(calibration.start, request.cameras, request.square)
+        return BoardOut(board=calibration.state)
+
+    @router.post("/calibration/finish", status_code=202, summary="Compute the result", **of.command)
+    async def finish_board() -> BoardOut:
+        await asyncio.to_thread(calibration.finish)
+        return BoardOut(board=calibration.state)
+
+    @router.post("/calibration/cancel", summary="End the calibration without a result", **of.command)
+    async def cancel_board() -> BoardOut:
+        await asyncio.to_thread(calibration.cancel)
+        return BoardOut(board=calibration.state)
 
     @router.get(
         "/{name}/stream",

@@ -1,5 +1,6 @@
 // Cameras: live pictures with the model drawn over them, and snapshots. A picture is requested only while it is visible.
-import { $, button, make, note, onStatus, request, setText } from "../page/station.js";
+import { $, button, make, note, onStatus, request, sendCommand, setText } from "../page/station.js";
+import { row } from "../page/form.js";
 import { isOpen, onTab, openTab } from "../page/tabs.js";
 import { svg } from "../page/chart.js";
 
@@ -22,7 +23,7 @@ function Camera({ name, width, height, calibrated }) {
   const figure = make("figure", { className: "camera", style: `--ratio: ${width / height}` }, picture,
     make("figcaption", {}, make("b", {}, name), state, make("label", { title: calibrated ? "" : "the lens or the pose of this camera is not known" }, shown, "model over the picture"),
       button("Snapshot", () => saveSnapshot(name)), enlarge, problem, legend));
-  let live = false, retry = 0, tries = 0;
+  let live = false, retry = 0, tries = 0, calibrating = false;
 
   /** Start or end the stream: it runs only while the picture is visible. */
   const update = () => {
@@ -41,17 +42,20 @@ function Camera({ name, width, height, calibrated }) {
   });
   let pending = false;
   setInterval(async () => {
-    if (!live || !shown.checked || pending) return;
+    if (!live || !shown.checked || pending || calibrating) return;
     pending = true;
     const overlay = await request("GET", `/api/cameras/${id}/overlay`, undefined, TIMEOUT_MS).catch(() => null);
     pending = false;
     // The user may have switched the drawing off while the answer was on its way.
+    if (calibrating) return;
     if (overlay === null || !shown.checked) drawing.replaceChildren(); else draw(drawing, overlay);
   }, OVERLAY_INTERVAL_MS);
   shown.addEventListener("change", () => { if (!shown.checked) drawing.replaceChildren(); legend.hidden = !shown.checked; });
   legend.hidden = !calibrated;
   return {
     figure, update, name, connect,
+    corners: (pixels) => drawing.replaceChildren(...pixels.map(([x, y]) => svg("circle", { class: "corner", cx: x, cy: y, r: MARK_PX }))),
+    pauseOverlay: (paused) => { calibrating = paused; if (!paused) drawing.replaceChildren(); },
     show: (now) => {
       setText(state, now.age === null ? "no frame yet" : `${now.rate.toFixed(0)} frames/s, ${now.age < 10 ? now.age.toFixed(2) : now.age.toFixed(0)} s old`);
       setText(problem, now.problem);
@@ -87,11 +91,68 @@ async function saveSnapshot(name) {
 function setLarge(figure) {
   large.replaceChildren(...(figure === null ? [] : [figure]));
   large.hidden = figure === null;
-  $("cameras").replaceChildren(...cameras.map((one) => one.figure).filter((one) => one !== figure));
+  $("cameras").replaceChildren(...cameras.map((one) => one.figure).filter((one) => one !== figure), boardBox);
   // Chromium ends the stream of an image that is moved within the page.
   for (const camera of cameras) camera.connect();
   if (figure !== null && cameras.length === 1) $("cameras").append(make("p", { className: "dim" }, "The picture is next to these controls. Press Small to move it back."));
   updateAll();
+}
+
+// ---- calibration with a printed board
+
+const COLUMNS_OF_GRID = 8, GRID_UNIT = 10;
+const square = make("input", { type: "number", value: 35, min: 5, max: 200, step: 0.1, required: true, "aria-label": "side of a square of the board [mm]" });
+const chosen = cameras.map(({ name }, i) => make("input", { type: "checkbox", checked: i < 2, value: name }));
+const boardLink = make("a", { target: "_blank", rel: "noopener" }, "Open the board to print");
+const setLink = () => { boardLink.href = `/api/cameras/board.svg?square=${1e-3 * Number(square.value)}`; };
+square.addEventListener("input", setLink);
+setLink();
+const startBoard = button("Start", () => sendBoard("", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * Number(square.value) }), { className: "main" });
+const finishBoard = button("Compute result", () => sendBoard("/finish"), { className: "main" }), cancelBoard = button("Cancel", () => sendBoard("/cancel"));
+const boardInstruction = make("p", { className: "task", "aria-live": "polite" }), boardSeen = make("div", { className: "board-seen" }), boardResult = make("div");
+const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera and where a second one stands, in two to five minutes. Print the board at 100 %, glue it on a flat plate, and hold it still at many places in the pictures, also tilted. The station takes the pictures by itself."),
+  make("div", { className: "rows" }, make("span", { className: "dim" }, "cameras"), make("span", { className: "wide acts", style: "margin:0" }, ...chosen.map((one) => make("label", {}, one, ` ${one.value}`))), ...row("square, measured on the print", square, "mm")),
+  make("div", { className: "acts" }, startBoard, boardLink));
+const boardRun = make("div", { hidden: true }, boardInstruction, boardSeen, make("div", { className: "acts" }, finishBoard, cancelBoard));
+const boardBox = make("section", { id: "board", className: "card" }, make("h3", {}, "Calibrate cameras"), boardForm, boardRun, boardResult);
+
+async function sendBoard(action, body = {}) {
+  const answer = await sendCommand("POST", `/api/cameras/calibration${action}`, body);
+  if (answer !== null) showBoard(answer.board);
+}
+
+/** Draw which parts of a picture have had a corner of the board. */
+function coverageGrid({ coverage }) {
+  const parts = coverage.flatMap((cells, y) => cells.map((seen, x) => svg("rect", { x: GRID_UNIT * x, y: GRID_UNIT * y, width: GRID_UNIT - 1, height: GRID_UNIT - 1, class: seen ? "seen" : "" })));
+  return svg("svg", { viewBox: `0 0 ${GRID_UNIT * COLUMNS_OF_GRID} ${GRID_UNIT * coverage.length}`, role: "img", "aria-label": "parts of the picture with the board" }, ...parts);
+}
+
+function showBoard(board) {
+  const running = board !== null && (board.stage === "looking" || board.stage === "solving");
+  boardForm.hidden = running;
+  boardRun.hidden = !running;
+  for (const camera of cameras) {
+    const seen = running ? board.cameras[camera.name] : undefined;
+    camera.pauseOverlay(seen !== undefined);
+    if (seen !== undefined) camera.corners(seen.corners);
+  }
+  if (board === null) return;
+  setText(boardInstruction, running ? board.instruction : "");
+  finishBoard.disabled = !board.enough || board.stage === "solving";
+  boardSeen.replaceChildren(...(running ? Object.entries(board.cameras).map(([name, seen]) => make("figure", {}, coverageGrid(seen),
+    make("figcaption", {}, make("b", {}, name), ` ${seen.pictures} pictures, ${seen.corners.length} corners now`))) : []));
+  boardResult.replaceChildren(...(running || board.result.length === 0 ? [] : [
+    ...board.result.map((sentence) => make("p", {}, sentence)),
+    ...(board.folder === "" ? [] : [make("p", {}, "To use the result, add this line to the station file and start the station again: "), make("code", {}, `calibration = ${JSON.stringify(board.folder)}`)])]));
+}
+
+let polling = false;
+async function pollBoard() {
+  if (!isOpen("cameras") || polling) return;
+  polling = true;
+  const answer = await request("GET", "/api/cameras/calibration", undefined, TIMEOUT_MS).catch(() => null);
+  polling = false;
+  if (answer !== null && (answer.board !== null || !boardRun.hidden)) showBoard(answer.board);
 }
 
 const updateAll = () => cameras.forEach((camera) => camera.update());
@@ -119,4 +180,6 @@ if (cameras.length === 0) {
   setInterval(poll, STATE_INTERVAL_MS);
   onTab("cameras", poll);
   poll();
+  setInterval(pollBoard, STATE_INTERVAL_MS);
+  onTab("cameras", pollBoard);
 }
