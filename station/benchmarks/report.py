@@ -7,6 +7,7 @@ READMEs refer to this file for the computing times.
 
 import os
 import platform
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from importlib.metadata import version
@@ -59,7 +60,7 @@ def measured_markdown(machine: str, found: Mapping[str, Mapping[str, Any]]) -> s
         "Written by `ctr-station bench report`; do not edit, measure again. Microseconds (`us`) are medians unless a",
         "percentile is named. The devices are simulated.",
         "",
-        f"{datetime.now().astimezone():%Y-%m-%d %H:%M}; {machine}.",
+        textwrap.fill(f"{datetime.now().astimezone():%Y-%m-%d %H:%M}; {machine}.", 120),
     ]
     for name, result in found.items():
         lines += ["", f"## `bench {name}`", "", MEASURES[name][0] + ".", "", "| figure | value |", "|---|---|"]

@@ -227,6 +227,8 @@ def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mou
             name: [view for view in pictured[name].views if view.name not in lenses[name].outliers]
             for name in (first, second)
         }
+        if paired(good[first], good[second]) < MIN_PAIRS:
+            good = {name: pictured[name].views for name in (first, second)}
         pair = calibrate_pair(
             good[first], good[second], (lenses[first].lens, lenses[second].lens), pictured[first].size, square
         )

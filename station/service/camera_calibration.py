@@ -34,8 +34,10 @@ INTERVAL_S = 0.2
 #: Largest motion of the corners between two pictures of a board at rest, and smallest distance from the corners of all
 #: earlier pictures, as fractions of the picture's width.
 REST, NEW_PLACE = 0.0015, 0.03
+#: Number of pictures of each camera, and of pairs, that suffice: more than the fewest that determine a result.
+ENOUGH_PICTURES, ENOUGH_PAIRS = 20, 12
 #: Largest number of pictures of a session; further ones hardly improve the result.
-MAX_PICTURES = 60
+MAX_PICTURES = 120
 #: Time for which the virtual lab shows the board in one pose [s].
 POSE_S = 1.0
 #: Largest difference between the exposures of two cameras' pictures that form a pair [s].
@@ -76,7 +78,7 @@ class BoardState(Strict):
     instruction: str
     """what to do next"""
     result: tuple[str, ...] = ()
-    """the result in words, or the reason why there is none"""
+    """the result in words, or the reason why there is none yet"""
     folder: str = ""
     """folder of the result, for the key `calibration` of the station file; empty without a result"""
 
@@ -148,6 +150,7 @@ class _Session:
     def __init__(self, supervisor: Supervisor, folder: Path, hosts: Sequence[CameraHost], square: float) -> None:
         self.finish, self.cancel = threading.Event(), threading.Event()
         self._supervisor, self._folder, self._hosts, self._square = supervisor, folder, hosts, square
+        self._number = 0  # of pictures that count
         empty = CameraBoardState(pictures=0, corners=(), coverage=())
         self.state = BoardState(
             stage=BoardStage.LOOKING, cameras={host.name: empty for host in hosts}, pairs=0, enough=False,
@@ -167,14 +170,24 @@ class _Session:
         self._thread.join()
 
     def _run(self) -> None:
+        import cv2
+
+        from station.camera.board import Corners
+        from station.camera.lens_calibration import CalibrationRefused
+
+        cv2.setNumThreads(1)  # the control loop needs the other processors
+        watchers = [_Watcher(host, Corners()) for host in self._hosts]
         try:
             self._show_board()
-            pictures = self._take()
-            if pictures is None:
-                self._end(BoardStage.ENDED, ("cancelled; nothing was written",))
-                return
-            self.state = self.state.model_copy(update={"stage": BoardStage.SOLVING, "instruction": "computing"})
-            self._write(pictures)
+            while self._take(watchers):
+                self.state = self.state.model_copy(update={"stage": BoardStage.SOLVING, "instruction": "computing"})
+                try:
+                    self._write({watcher.host.name: watcher.pictured for watcher in watchers})
+                    return
+                except CalibrationRefused as error:  # more pictures may help
+                    self.finish.clear()
+                    self.state = self.state.model_copy(update={"stage": BoardStage.LOOKING, "result": (str(error),)})
+            self._end(BoardStage.ENDED, ("cancelled; nothing was written",))
         except CtrError as error:
             self._end(BoardStage.ENDED, (str(error),))
         except Exception as error:
@@ -201,26 +214,21 @@ class _Session:
         for host in self._hosts:
             host.show_board(ShowBoard(self._square, poses, now, POSE_S))
 
-    def _take(self) -> "dict[str, Pictured] | None":
-        """Take pictures until the operator finishes; None: cancelled."""
-        import cv2
-
-        from station.camera.board import Corners
-
-        cv2.setNumThreads(1)  # the control loop needs the other processors
-        watchers = [_Watcher(host, Corners()) for host in self._hosts]
-        number, end = 0, self._supervisor.bench.clock.now() + MAX_TIME_S
+    def _take(self, watchers: "Sequence[_Watcher]") -> bool:
+        """Take pictures until the operator finishes, and return True; False: cancelled."""
+        end = self._supervisor.bench.clock.now() + MAX_TIME_S
         while not self.finish.is_set():
             if self.cancel.wait(INTERVAL_S) or self._supervisor.bench.clock.now() > end:
-                return None
+                return False
             for watcher in watchers:
                 watcher.look()
-            if number < MAX_PICTURES and self._at_rest(watchers) and any(one.is_new() for one in watchers):
-                number += 1
+            new = self._at_rest(watchers) and any(watcher.is_new() for watcher in watchers)
+            if new and self._number < MAX_PICTURES:
+                self._number += 1
                 for watcher in watchers:
-                    watcher.keep(f"{number:02}")
+                    watcher.keep(f"{self._number:02}")
             self._show(watchers)
-        return {watcher.host.name: watcher.pictured for watcher in watchers}
+        return True
 
     @staticmethod
     def _at_rest(watchers: "Sequence[_Watcher]") -> bool:
@@ -230,17 +238,17 @@ class _Session:
         return bool(seeing) and all(watcher.rests for watcher in seeing) and max(times) - min(times) < PAIR_S
 
     def _show(self, watchers: "Sequence[_Watcher]") -> None:
-        from station.camera.lens_calibration import MIN_PAIRS, paired
+        from station.camera.lens_calibration import paired
 
         first, *others = watchers
         pairs = paired(first.pictured.views, others[0].pictured.views) if others else 0
-        wanted = next((text for watcher in watchers if (text := watcher.wanted())), "")
-        if not wanted and others and pairs < MIN_PAIRS:
-            wanted = f"hold the board where both cameras see it: {pairs} of {MIN_PAIRS} pairs"
+        missing = next((text for watcher in watchers if (text := watcher.missing())), "")
+        if not missing and others and pairs < ENOUGH_PAIRS:
+            missing = f"hold the board where both cameras see it: {pairs} of {ENOUGH_PAIRS} pairs"
         self.state = self.state.model_copy(
             update={
                 "cameras": {watcher.host.name: watcher.state() for watcher in watchers}, "pairs": pairs,
-                "enough": not wanted, "instruction": wanted or "enough pictures; more of them improve the result",
+                "enough": not missing, "instruction": missing or "enough pictures; more of them improve the result",
             }
         )  # fmt: skip
 
@@ -319,16 +327,16 @@ class _Watcher:
         if self.sees:
             self.pictured.views.append(View(name, np.array(self._numbers, np.int64), self._pixels))
 
-    def wanted(self) -> str:
+    def missing(self) -> str:
         """Return what to do for a result; empty if the pictures suffice."""
-        from station.camera.lens_calibration import MIN_COVERAGE, MIN_VIEWS, coverage
+        from station.camera.lens_calibration import MIN_COVERAGE, coverage
 
         views, name = self.pictured.views, self.host.name
         if problem := self.host.status().problem:
             return f"camera {name}: {problem}"
-        if len(views) < MIN_VIEWS:
+        if len(views) < ENOUGH_PICTURES:
             return (
-                f"camera {name}: hold the board still at another place, also tilted: {len(views)} of {MIN_VIEWS}"
+                f"camera {name}: hold the board still at another place, also tilted: {len(views)} of {ENOUGH_PICTURES}"
                 " pictures"
             )
         share = float(coverage(views, self.pictured.size).mean())

@@ -1,12 +1,16 @@
 """The true lenses and poses of a virtual lab's cameras, as a perfect calibration would find them."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
-from core.calibration.rigid_transform import vector_from_rotation
+import numpy as np
+
+from core.calibration.rigid_transform import kabsch, vector_from_rotation
 from station.config.robots import load_robot
 from station.devices.cameras import CalibratedView, LensFile
 from station.devices.config import Mount
-from station.devices.projection import true_view_of
+from station.devices.projection import CameraView, true_view_of
+from station.devices.stereo.triangulation import triangulate
 from station.lab.config import load_lab
 
 
@@ -37,3 +41,14 @@ def write_true_views(lab: str, folder: Path) -> Path:
         ]  # fmt: skip
     (folder / "cameras.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
+
+
+def workspace_error(lab: str, found: Mapping[str, CalibratedView]) -> float:
+    """Return the RMS error [m] of points of the workspace that calibrated cameras measure, after a rigid motion."""
+    points = np.random.default_rng(1).uniform((-0.08, -0.08, 0.17), (0.08, 0.08, 0.28), (100, 3))
+    true = [CameraView.of(view.lens, view.pose) for view in true_views(lab).values()]
+    views = [CameraView.of(found[name].lens, found[name].pose) for name in true_views(lab)]
+    measured = [triangulate(views, np.vstack([view.project(point[None]) for view in true])) for point in points]
+    positions = np.array([one.position for one in measured if one is not None])
+    assert len(positions) == len(points)
+    return float(np.sqrt(((kabsch(positions, points).apply(positions) - points) ** 2).sum(axis=1).mean()))

@@ -21,7 +21,7 @@ class Sighting(NamedTuple):
     row: float  #: centre of the ball [pixel]; NaN: the frame shows no ball
 
     @property
-    def seen(self) -> bool:
+    def visible(self) -> bool:
         """Whether the frame shows the ball."""
         return math.isfinite(self.column + self.row)
 

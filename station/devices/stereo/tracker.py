@@ -95,7 +95,7 @@ class Eye:
         self._period = 1.0 / rate
         self._pixels: deque[Pixel] = deque(maxlen=4)
         self.newest = -math.inf  #: time of the newest frame, with or without a ball [s]
-        self.seen = -math.inf  #: time of the newest frame with the ball [s]
+        self.visible_at = -math.inf  #: time of the newest frame with the ball [s]
 
     def add(self, time: float, pixel: Array | None) -> None:
         """Add a frame, with the pixel of the ball (2,) or without a ball."""
@@ -105,7 +105,7 @@ class Eye:
         if pixel is None:
             self._pixels.clear()
             return
-        self.seen = time
+        self.visible_at = time
         self._pixels.append(Pixel(time, pixel))
 
     def at(self, time: float) -> Array | None:
@@ -211,7 +211,7 @@ class StereoTracker:
             return "their messages cannot be received"
         for problem, times in (
             (Problem.SILENT, {name: eye.newest for name, eye in self._eyes.items()}),
-            (Problem.HIDDEN, {name: eye.seen for name, eye in self._eyes.items()}),
+            (Problem.HIDDEN, {name: eye.visible_at for name, eye in self._eyes.items()}),
         ):
             if late := [name for name, time in times.items() if now - time > WARN_AFTER_S]:
                 return f"{problem} ({' and '.join(f'camera {name}' for name in late)})"
@@ -237,7 +237,7 @@ class StereoTracker:
         if not now - 2.0 < time <= now + 1e-6:
             counts.malformed += 1
             return None
-        pixel = np.array((sighting.column, sighting.row)) if sighting.seen else None
+        pixel = np.array((sighting.column, sighting.row)) if sighting.visible else None
         self._eyes[sighting.camera].add(time, pixel)
         if pixel is None:
             counts.hidden += 1

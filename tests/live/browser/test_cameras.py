@@ -149,3 +149,28 @@ def test_video_of_a_run_is_shown_in_the_history(page: Page, station: Served, pic
     picture(page, "video")
     page.get_by_role("button", name="all runs").click()
     open_tab(page, "start")
+
+
+def test_calibration_with_the_board_is_started_shown_and_cancelled(
+    page: Page, station: Served, picture: Picture
+) -> None:
+    open_tab(page, "cameras")
+    board = page.locator("#board")
+    printed = board.get_by_role("link", name="Open the board to print").get_attribute("href")
+    assert "<svg" in station.rest.get(str(printed)).text
+    board.get_by_label("side of a square of the board [mm]").fill("20")
+    for name, wanted in (("side", True), ("top", True), ("usb", False)):
+        board.get_by_label(name, exact=True).set_checked(wanted)
+    board.get_by_role("button", name="Start").click()
+    board.locator(".task", has_text="hold the board").wait_for()
+    page.locator(".camera-picture circle.corner").first.wait_for(state="attached")
+    board.locator(".board-seen rect.seen").first.wait_for()
+    expect(board.get_by_role("button", name="Compute result")).to_be_disabled()
+    picture(page, "board")
+    assert Axe().run(page, options=RULES).response["violations"] == []
+
+    board.get_by_role("button", name="Cancel").click()
+
+    board.get_by_text("cancelled; nothing was written").wait_for()
+    expect(board.get_by_role("button", name="Start")).to_be_visible()
+    station.ready()

@@ -110,11 +110,11 @@ setLink();
 const startBoard = button("Start", () => sendBoard("", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * Number(square.value) }), { className: "main" });
 const finishBoard = button("Compute result", () => sendBoard("/finish"), { className: "main" }), cancelBoard = button("Cancel", () => sendBoard("/cancel"));
 const boardInstruction = make("p", { className: "task", "aria-live": "polite" }), boardSeen = make("div", { className: "board-seen" }), boardResult = make("div");
-const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera and where a second one stands, in two to five minutes. Print the board at 100 %, glue it on a flat plate, and hold it still at many places in the pictures, also tilted. The station takes the pictures by itself."),
+const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera and the pose of a second one, in two to five minutes. Print the board at 100 %, glue it on a flat plate, and hold it still at many places in the pictures, also tilted. The station takes the pictures by itself."),
   make("div", { className: "rows" }, make("span", { className: "dim" }, "cameras"), make("span", { className: "wide acts", style: "margin:0" }, ...chosen.map((one) => make("label", {}, one, ` ${one.value}`))), ...row("square, measured on the print", square, "mm")),
   make("div", { className: "acts" }, startBoard, boardLink));
 const boardRun = make("div", { hidden: true }, boardInstruction, boardSeen, make("div", { className: "acts" }, finishBoard, cancelBoard));
-const boardBox = make("section", { id: "board", className: "card" }, make("h3", {}, "Calibrate cameras"), boardForm, boardRun, boardResult);
+const boardBox = make("section", { id: "board" }, make("h3", {}, "Calibrate cameras"), boardForm, boardRun, boardResult);
 
 async function sendBoard(action, body = {}) {
   const answer = await sendCommand("POST", `/api/cameras/calibration${action}`, body);
@@ -141,7 +141,7 @@ function showBoard(board) {
   finishBoard.disabled = !board.enough || board.stage === "solving";
   boardSeen.replaceChildren(...(running ? Object.entries(board.cameras).map(([name, seen]) => make("figure", {}, coverageGrid(seen),
     make("figcaption", {}, make("b", {}, name), ` ${seen.pictures} pictures, ${seen.corners.length} corners now`))) : []));
-  boardResult.replaceChildren(...(running || board.result.length === 0 ? [] : [
+  boardResult.replaceChildren(...(board.result.length === 0 ? [] : [
     ...board.result.map((sentence) => make("p", {}, sentence)),
     ...(board.folder === "" ? [] : [make("p", {}, "To use the result, add this line to the station file and start the station again: "), make("code", {}, `calibration = ${JSON.stringify(board.folder)}`)])]));
 }

@@ -83,7 +83,9 @@ def _wait(reached: Callable[[], bool]) -> bool:
 
 def test_unknown_driver_is_refused_with_the_known_names(install):
     install("line-tracker = station.docs.examples.line_tracker.line_tracker:open_tracker")
-    with pytest.raises(ConfigError, match=r"devices.tracker.driver = 'polaris' is not one of aurora, line-tracker;.*"):
+    with pytest.raises(
+        ConfigError, match=r"devices.tracker.driver = 'polaris' is not one of aurora, stereo, line-tracker;.*"
+    ):
         find("tracker", "polaris")
     with pytest.raises(
         ConfigError, match=r"devices.sensors.driver = 'aurora' is not one of netft, nidaq, line-tracker"

@@ -17,11 +17,11 @@ def test_sighting_survives_its_datagram(frame: int, exposed: float, sent: float,
     assert unpack(pack(sighting)) == sighting
 
 
-def test_frame_without_a_ball_is_not_seen() -> None:
+def test_frame_without_a_ball_is_not_visible() -> None:
     found = unpack(pack(Sighting("left", 1, 2.0, 3.0, math.nan, math.nan)))
 
     assert found is not None
-    assert not found.seen
+    assert not found.visible
 
 
 @given(st.binary(max_size=200))
@@ -39,4 +39,4 @@ def test_damaged_datagram_gives_no_pixel_that_is_not_a_number(data: st.DataObjec
 
     if found is not None:
         assert math.isfinite(found.exposed + found.sent)
-        assert math.isfinite(found.column) == math.isfinite(found.row) == found.seen
+        assert math.isfinite(found.column) == math.isfinite(found.row) == found.visible
