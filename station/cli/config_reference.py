@@ -70,6 +70,7 @@ def reference_page() -> str:
     from station.devices.aurora.tracker import AuroraFile
     from station.devices.cia402.setup import Cia402File
     from station.devices.gcode.setup import GcodeFile
+    from station.devices.stereo.tracker import StereoFile
     from station.devices.zaber.setup import ZaberFile
     from station.devices.zaber_ascii.setup import AsciiFile
     from station.experiments.experiment import CaseFile
@@ -86,6 +87,7 @@ def reference_page() -> str:
         ("Driver cia402", Cia402File, ""),
         ("Driver gcode", GcodeFile, ""),
         ("Driver aurora", AuroraFile, ""),
+        ("Driver stereo", StereoFile, ""),
         ("Driver netft", NetftFile, ""),
         ("Driver nidaq", NidaqFile, ""),
         ("Virtual lab", LabConfig, ""),

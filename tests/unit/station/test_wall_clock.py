@@ -13,7 +13,7 @@ STAMPING = {
     "station/cli/validate.py", "station/cli/workspace.py",
     "station/experiments/manifest.py", "station/experiments/output.py", "station/experiments/sweep_plan.py",
     "station/recording/history.py", "station/recording/run_folder.py", "station/recording/writer.py",
-    "station/service/audit.py",
+    "station/service/audit.py", "station/service/camera_calibration.py",
     "station/service/live_calibration.py", "station/service/runs.py",
     "web/access/audit_middleware.py", "web/api/cameras.py",
     "web/gateway/foxglove.py", "web/gateway/igtl.py", "web/gateway/lsl.py",

@@ -179,7 +179,7 @@ def test_calibration_of_another_robot_is_refused(subject, folder):
 
 
 def test_empty_calibration_folder_is_refused(subject, tmp_path):
-    with pytest.raises(ConfigError, match=r"none of registration\.toml, sensors\.toml and robot\.toml"):
+    with pytest.raises(ConfigError, match=r"none of registration\.toml, sensors\.toml, robot\.toml and cameras\.toml"):
         BenchCalibration.load(tmp_path, subject.file)
 
 
