@@ -107,8 +107,8 @@ const boardLink = make("a", { target: "_blank", rel: "noopener" }, "Open the boa
 const setLink = () => { boardLink.href = `/api/cameras/board.svg?square=${1e-3 * Number(square.value)}`; };
 square.addEventListener("input", setLink);
 setLink();
-const startBoard = button("Start", () => sendBoard("", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * Number(square.value) }), { className: "main" });
-const finishBoard = button("Compute result", () => sendBoard("/finish"), { className: "main" }), cancelBoard = button("Cancel", () => sendBoard("/cancel"));
+const startBoard = button("Start", () => sendBoard("/api/cameras/calibration", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * Number(square.value) }), { className: "main" });
+const finishBoard = button("Compute result", () => sendBoard("/api/cameras/calibration/finish"), { className: "main" }), cancelBoard = button("Cancel", () => sendBoard("/api/cameras/calibration/cancel"));
 const boardInstruction = make("p", { className: "task", "aria-live": "polite" }), boardSeen = make("div", { className: "board-seen" }), boardResult = make("div");
 const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera and the pose of a second one, in two to five minutes. Print the board at 100 %, glue it on a flat plate, and hold it still at many places in the pictures, also tilted. The station takes the pictures by itself."),
   make("div", { className: "rows" }, make("span", { className: "dim" }, "cameras"), make("span", { className: "wide acts", style: "margin:0" }, ...chosen.map((one) => make("label", {}, one, ` ${one.value}`))), ...row("square, measured on the print", square, "mm")),
@@ -116,8 +116,8 @@ const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera a
 const boardRun = make("div", { hidden: true }, boardInstruction, boardSeen, make("div", { className: "acts" }, finishBoard, cancelBoard));
 const boardBox = make("section", { id: "board" }, make("h3", {}, "Calibrate cameras"), boardForm, boardRun, boardResult);
 
-async function sendBoard(action, body = {}) {
-  const answer = await sendCommand("POST", `/api/cameras/calibration${action}`, body);
+async function sendBoard(path, body = {}) {
+  const answer = await sendCommand("POST", path, body);
   if (answer !== null) showBoard(answer.board);
 }
 
