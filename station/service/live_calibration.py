@@ -372,7 +372,7 @@ def _job(supervisor: Supervisor, folder: Path, what: str, effort: float, weights
         what,
         effort,
         weights,
-        bench.robot if calibration is None else calibration.robot,
+        bench.best_known_robot,
         np.array(bench.park),
         mount,
         bench.title,

@@ -87,6 +87,11 @@ class Rig:
         return self.calibration.applied(file.controller(self.calibration.robot, self.present, self.keep_out))
 
     @property
+    def best_known_robot(self) -> RobotFile:
+        """The robot with calibrated tubes; without a calibration the described robot."""
+        return self.robot if self.calibration is None else self.calibration.robot
+
+    @property
     def present(self) -> Present:
         """Which devices the station has besides its stages."""
         return self.lab.present if self.devices is None else self.devices.present

@@ -76,7 +76,7 @@ class Supervisor:
     def __init__(self, bench: Rig, folder: Path | None = None, audit: Audit | None = None) -> None:
         """Prepare a station that records runs in `folder` and changes of state in `audit`, if they are given."""
         self.bench, self._clock = bench, bench.clock
-        self.robot = bench.robot.robot()
+        self.robot = bench.best_known_robot.robot()
         self.channels = Channels(self.robot)
         self.statics = Statics(self.robot)
         self.ring = Ring(ring_width(bench.robot))

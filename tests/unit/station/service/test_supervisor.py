@@ -1,12 +1,31 @@
-"""Simultaneous calls of a function are merged into one."""
+"""The supervisor models the calibrated robot, and merges simultaneous calls of a function into one."""
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from core.errors import CtrError
-from station.service.supervisor import SingleFlight
+from station.config.strict import preset
+from station.service.station_file import load_station
+from station.service.supervisor import SingleFlight, Supervisor
+
+
+def test_drawn_and_checked_model_is_that_of_the_calibrated_tubes(tmp_path: Path, write: Callable[..., Path]) -> None:
+    folder = tmp_path / "calibrated"
+    folder.mkdir()
+    described = preset("robots", "paper").read_text(encoding="utf-8")
+    calibrated = described.replace("bending_stiffness = 0.0413", "bending_stiffness = 0.0333")
+    (folder / "robot.toml").write_text(calibrated, encoding="utf-8")
+    supervisor = Supervisor(load_station(write(f'calibration = "{folder}"\n')).bench())
+    try:
+        stiffness = {tube.bending_stiffness for tube in supervisor.statics.robot.tubes}
+        assert 0.0333 in stiffness
+        assert 0.0413 not in stiffness
+    finally:
+        supervisor.ring.close(remove=True)
 
 
 def test_simultaneous_calls_of_a_single_flight_function_get_the_same_result() -> None:
