@@ -18,6 +18,14 @@ from core.control.command import OBSERVER_DRIFT, command, joint_command
 from core.control.controllers import FeedbackOptions, Strategy, Task, TaskInputs, custom_rows
 from core.control.deflection_force import TUBE_ERROR, DeflectionForce, start_deflection, update_deflection
 from core.control.estimation import FRAME_USED, Estimate, Estimator, perceive
+from core.control.force_control import (
+    NO_CONTACT,
+    Contact,
+    Press,
+    press,
+    replaced_component,
+    without_component,
+)
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
@@ -65,6 +73,7 @@ class ControllerState(NamedTuple):
     zeros: SensorZeros | None = None  #: drift of the base sensors' zeros since the tare, if it is tracked
     deflection: DeflectionForce | None = None  #: force from the deflection, if there is a tracker
     offset: Offset = NO_OFFSET  #: offset of the setpoint that gives way to the force, if a stiffness is configured
+    contact: Contact = NO_CONTACT  #: state of a motion that holds a force
 
 
 #: Largest recorded clearance, also of a robot without regions [m].
@@ -291,7 +300,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     direction = None
     if controller.aim.lever > 0.0 or controller.watches:
         direction = _direction_estimate(controller, memory.direction, now, sample)
-    slope, offset = memory.slope, NO_OFFSET
+    slope, offset, contact = memory.slope, NO_OFFSET, NO_CONTACT
     near, clearance = None, MAX_CLEARANCE_M
     if controller.regions:
         near = backbone(controller.statics, now.loaded, now.observed.tip)
@@ -300,6 +309,8 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         followed = order
         if controller.stiffness is not None:
             order, followed, offset = _yielding(controller, controller.stiffness, memory, now, force, tip, order)
+        if order.press is not None:
+            order, followed, contact = _pressing(controller, memory, now, force, tip, order.press, followed)
         tasks, null_space = list(controller.tasks), None
         if direction is not None and controller.aim.lever > 0.0:
             tasks.append(DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
@@ -325,9 +336,32 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset),
+        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset, contact),
         clearance,
     )  # fmt: skip
+
+
+def _pressing(
+    controller: Controller, memory: ControllerState, now: Estimate, force: Array, tip: Array, desired: Press,
+    order: Setpoint,
+) -> tuple[Setpoint, Setpoint, Contact]:  # fmt: skip
+    """Return the setpoint without an error along the direction of a press, the setpoint for the loops, and its state.
+
+    The loops multiply the remaining distance by k1 and subtract the motion of the tip that the joints do not cause. The
+    setpoint for the loops contains both, so that the joints alone move the tip with the velocity of the press.
+    """
+    known, along, gain = now.known, desired.direction, controller.strategy.gain
+    here = (known.tip_ahead if controller.feedback.observes else tip) - memory.origin
+    at = now.observed.tip - memory.origin
+    contact = press(
+        desired, memory.contact, force, now.loaded.compliance[:3, :3], float(along @ at), gain,
+        controller.force_delay, controller.period,
+    )  # fmt: skip
+    not_by_joints = float(along @ known.load_rate + along @ known.drift)
+    across = without_component(order.velocity, along)
+    aim = replaced_component(order.position, along, float(along @ here) + (contact.velocity + not_by_joints) / gain)
+    shown = replaced_component(order.position, along, float(along @ at))
+    return order._replace(position=shown, velocity=across), order._replace(position=aim, velocity=across), contact
 
 
 def _yielding(

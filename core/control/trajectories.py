@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
+from core.control.force_control import Press
 from core.errors import DescriptionError
 from core.robot.robot import Array, positive
 
@@ -26,6 +27,7 @@ class Setpoint(NamedTuple):
     velocity: Array  #: (3,) desired velocity of the tip [m/s]
     direction: Array | None = None  #: (3,) desired direction of the tip, unit vector; None keeps the start direction
     turning: Array = ZERO_VELOCITY  #: (3,) angular velocity of the desired direction [rad/s]
+    press: Press | None = None  #: force that the tip shall exert; along its direction the position is not controlled
 
 
 class JointMotion(NamedTuple):
@@ -104,6 +106,23 @@ def _setpoint(position: list[float], velocity: list[float]) -> Setpoint:
     """Return a setpoint from numbers: each operation on small arrays takes a microsecond."""
     both = np.array(position + velocity)
     return Setpoint(both[:3], both[3:])
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """Another trajectory, with a force along a direction."""
+
+    path: Trajectory  #: only its part across the direction is followed
+    press: Press
+
+    @property
+    def period(self) -> float:
+        """Time after which the path repeats itself or stays at rest [s]."""
+        return self.path.period
+
+    def setpoint(self, time: float) -> Setpoint:
+        """Return the desired offset, velocity and force at `time` [s] from the start."""
+        return self.path.setpoint(time)._replace(press=self.press)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from core.control.controllers import TYPE_2
+from core.control.force_control import Press
 from core.control.reachability import check_pose, check_reach
 from core.control.step import Controller
 from core.control.trajectories import (
@@ -16,6 +18,7 @@ from core.control.trajectories import (
     Helix,
     Hold,
     JointMotion,
+    Pressed,
     Setpoint,
     Sinusoid,
     Step,
@@ -186,6 +189,45 @@ class FollowMotion(Strict):
         return Hold()
 
 
+class ForceMotion(Strict):
+    """Approach along a direction until contact, then hold a force; across it the tip follows a path or stays."""
+
+    kind: Literal["force"] = "force"
+    direction: Direction
+    """direction in which the tip presses, world frame; its length does not matter"""
+    force: Annotated[float, Field(gt=0.0, le=5.0)]
+    """force of the tip on the obstacle along the direction [N]"""
+    speed: Annotated[float, Field(gt=0.0, le=0.05)] = 0.005
+    """largest speed of the approach [m/s]. It is also at most 0.5 F c / T, where F is the force, c the compliance of the
+    tubes along the direction and T the delay from a contact to the joints (about 0.05 s), so that the force at the
+    contact exceeds F by at most a half"""
+    reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """largest distance of the tip from its start along the direction, both ways [m]"""
+    path: Annotated[CircleMotion | SinusoidMotion | HoldMotion, Field(discriminator="kind")] = HoldMotion()
+    """motion across the direction, for instance a circle whose normal is the direction; its part along the direction is
+    ignored"""
+
+    def trajectory(self) -> Trajectory:
+        """Return the trajectory that the controller tracks."""
+        along = np.array(self.direction) / np.linalg.norm(self.direction)
+        return Pressed(self.path.trajectory(), Press(along, self.force, self.speed, self.reach))
+
+    def check(self, controller: Controller) -> None:
+        """Check that the controller can hold a force.
+
+        Raises:
+            DescriptionError: it has other loops, or it also gives way to the force.
+        """
+        laws = controller.strategy.laws
+        if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
+            raise DescriptionError(
+                "force: the motion needs strategy 'dual_layer' with k1 = k2 above 0, inner = 'type_2' and feedback ="
+                " 'observer' or 'tracker'"
+            )
+        if controller.stiffness is not None:
+            raise DescriptionError("force: the motion holds a force, so remove 'stiffness' from the controller")
+
+
 class CsvMotion(Strict):
     """Waypoints from a file; for experiment files, not over REST."""
 
@@ -273,7 +315,9 @@ class JointSweepMotion(Strict):
 
 
 #: Motions that both files and REST requests may contain.
-TipMotion = HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion
+TipMotion = (
+    HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion | ForceMotion
+)
 Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator="kind")]
 
 
@@ -315,6 +359,8 @@ class Orders:
             CtrError: the start pose or the sweep violates a limit, or a custom loop violates its contract.
         """
         controller.check_loops(start)
+        if isinstance(self._motion, ForceMotion):
+            self._motion.check(controller)
         if isinstance(self._motion, JointSweepMotion):
             self._motion.check(start, controller.statics, controller.limits)
         elif self._trajectory is not None:

@@ -21,6 +21,7 @@ from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import freeze_garbage_collection, request_fifo
 from station.devices.cameras import measuring
 from station.devices.config import BenchFile
+from station.devices.stereo.tracker import HOLD_AFTER_S
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, Readable, TcpDeviceEnd, UdpDeviceEnd
@@ -55,6 +56,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
     if config.cameras:
         tables["tracker"] = {
             "driver": "stereo", "cameras": tuple(config.cameras), "views": measuring(config.cameras),
+            "stale_after": max(HOLD_AFTER_S, clock.patience),
         }  # fmt: skip
     return check(BenchFile, {kind: tables[kind] for kind in tables if kind not in config.without}, "virtual lab")
 

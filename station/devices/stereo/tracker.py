@@ -29,8 +29,8 @@ from station.devices.projection import CameraView
 from station.devices.stereo.sighting import Sighting, unpack
 from station.devices.stereo.triangulation import triangulate
 
-#: A WARN and a HOLD follow after this time without a position [s]. Five frames of a camera with 30 Hz are 0.17 s.
-WARN_AFTER_S, HOLD_AFTER_S = 0.17, 0.35
+#: Time without a position after which a motion ends in HOLD [s]: ten frames of a camera with 30 Hz. Half of it is a WARN.
+HOLD_AFTER_S = 0.34
 #: Largest time from the second camera's newest frame to the extrapolated pixel, and largest time between two of its
 #: frames for an interpolation or extrapolation, in frames.
 MAX_AHEAD_FRAMES, MAX_GAP_FRAMES = 1.6, 3.5
@@ -132,6 +132,7 @@ class StereoTracker:
         *,
         latency: float = 0.0,
         max_residual: float = 3.0,
+        stale_after: float = HOLD_AFTER_S,
     ) -> None:
         """Create the driver.
 
@@ -141,13 +142,14 @@ class StereoTracker:
             registration: pose of the cameras' world in the robot's; default: the same.
             latency: time by which the exposures are earlier than the cameras' settings say [s].
             max_residual: largest distance between a pixel and the computed position [pixel].
+            stale_after: time without a position that is a HOLD; half of it is a WARN [s].
         """
         self._inbox, self._cameras, self._latency = inbox, cameras, latency
         self._views = {name: CameraView.of(*camera.view) for name, camera in cameras.items() if camera.view is not None}
         self._eyes = {name: Eye(camera.rate) for name, camera in cameras.items()}
         self._first, self._second = cameras
         self._registration = registration or RigidTransform(np.eye(3), np.zeros(3))
-        self._max_residual = max_residual
+        self._max_residual, self._stale_after = max_residual, stale_after
         self._offset = math.inf  # loop's clock minus the station's clock [s]
         self._opened: float | None = None
         self._good_time, self._problem = -math.inf, Problem.SILENT
@@ -193,15 +195,15 @@ class StereoTracker:
         return reading
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return a WARN after 0.17 s without a position or if the cameras disagree, and a HOLD after 0.35 s."""
+        """Return a WARN if positions are late or if the cameras disagree, and a HOLD after `stale_after`."""
         age = now - self._good_time
-        if age <= WARN_AFTER_S and not self._lost:
+        if age <= 0.5 * self._stale_after and not self._lost:
             apart = math.sqrt(self._residual_square)
             if apart < WARN_PIXELS:
                 return None
             text = f"the lines of sight of the two cameras miss each other by {apart:.1f} pixels: calibrate the cameras"
             return DeviceFault(Severity.WARN, text)
-        severity = Severity.HOLD if self._lost or age > HOLD_AFTER_S else Severity.WARN
+        severity = Severity.HOLD if self._lost or age > self._stale_after else Severity.WARN
         since = "" if math.isinf(age) else f", for {age:.2f} s"
         return DeviceFault(severity, f"the cameras do not track the tip{since}: {self._words(now)}", self._lost)
 
@@ -213,7 +215,7 @@ class StereoTracker:
             (Problem.SILENT, {name: eye.newest for name, eye in self._eyes.items()}),
             (Problem.HIDDEN, {name: eye.visible_at for name, eye in self._eyes.items()}),
         ):
-            if late := [name for name, time in times.items() if now - time > WARN_AFTER_S]:
+            if late := [name for name, time in times.items() if now - time > 0.5 * self._stale_after]:
                 return f"{problem} ({' and '.join(f'camera {name}' for name in late)})"
         return self._problem or "the positions are late"
 
@@ -285,6 +287,8 @@ class StereoFile(Strict):
     """time by which the exposures are earlier than the `latency` of the cameras says, from a calibration [s]"""
     max_residual: Annotated[float, Field(gt=0.0, le=50.0)] = 3.0
     """largest distance between the ball's pixel and the computed position, at most 50 [pixel]"""
+    stale_after: Annotated[float, Field(ge=0.05, le=10.0)] = HOLD_AFTER_S
+    """time without a position after which a motion ends in HOLD; half of it is a warning [s]"""
     mount: Mount = Mount()
     """pose of the cameras' world in the robot's, from a registration"""
     views: Mapping[Name, CameraFile] = {}
@@ -310,7 +314,12 @@ def stereo(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StereoT
     cameras = {name: file.views[name] for name in file.cameras}
     registration = RigidTransform(file.mount.rotation, np.array(file.mount.position))
     return lambda: StereoTracker(
-        DatagramInbox(), cameras, registration, latency=file.latency, max_residual=file.max_residual
+        DatagramInbox(),
+        cameras,
+        registration,
+        latency=file.latency,
+        max_residual=file.max_residual,
+        stale_after=file.stale_after,
     )
 
 
