@@ -198,9 +198,9 @@ class ForceMotion(Strict):
     force: Annotated[float, Field(gt=0.0, le=5.0)]
     """force of the tip on the obstacle along the direction [N]"""
     speed: Annotated[float, Field(gt=0.0, le=0.05)] = 0.005
-    """largest speed of the approach [m/s]. It is also at most 0.5 F c / T, where F is the force, c the compliance of the
-    tubes along the direction and T the delay from a contact to the joints (about 0.05 s), so that the force at the
-    contact exceeds F by at most a half"""
+    """largest speed of the approach to the first contact [m/s]. It is also at most 0.5 F c / T, where F is the force, c
+    the compliance of the tubes along the direction and T the delay from a contact to the joints (about 0.05 s), so that
+    the force at the contact exceeds F by at most a half"""
     reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """largest distance of the tip from its start along the direction, both ways [m]"""
     path: Annotated[CircleMotion | SinusoidMotion | HoldMotion, Field(discriminator="kind")] = HoldMotion()

@@ -29,7 +29,7 @@ from station.devices.projection import CameraView
 from station.devices.stereo.sighting import Sighting, unpack
 from station.devices.stereo.triangulation import triangulate
 
-#: Time without a position after which a motion ends in HOLD [s]: ten frames of a camera with 30 Hz. Half of it is a WARN.
+#: Time without a position after which a motion ends in HOLD [s]: ten frames of a camera with 30 Hz.
 HOLD_AFTER_S = 0.34
 #: Largest time from the second camera's newest frame to the extrapolated pixel, and largest time between two of its
 #: frames for an interpolation or extrapolation, in frames.
