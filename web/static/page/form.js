@@ -90,13 +90,13 @@ export function form(schema, { values = {}, more = [], choices = {}, skip = [] }
   for (const [key, field] of Object.entries(schema.properties)) {
     if (field.const !== undefined || skip.includes(key)) continue;
     // Lists of rows and tables are edited in files and scripts only; the form keeps their values.
-    if (field.default !== undefined && (field.type === "object" || field.items?.type === "array")) {
+    if (field.default !== undefined && (field.type === "object" || field.oneOf || field.items?.type === "array")) {
       readers[key] = () => values[key];
       continue;
     }
     const required = (schema.required ?? []).includes(key);
     const built = build(key, field, values[key] ?? field.default, required, choices[key]);
-    (more.includes(key) ? rest : grid).append(...built.elements);
+    (more.includes(key) && !required ? rest : grid).append(...built.elements);
     readers[key] = built.read;
   }
   const element = make("div", {}, grid);

@@ -12,7 +12,7 @@ import { waypoints } from "./waypoints.js";
 /** Initial values of form fields without a default, SI. */
 const INITIAL_VALUES = {
   circle: { radius: 0.01, period: 20 }, sinusoid: { amplitude: 0.01, frequency: 0.05 }, step: { offset: [0.001, 0, 0] },
-  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 },
+  helix: { radius: 0.008, pitch: 0.003, turn: 20, turns: 3 }, force: { direction: [0, 0, 1], force: 0.2 },
   constant: { magnitude: 0.2 }, sine: { amplitude: 0.2, frequency: 0.05 }, raised_cosine: { peak: 0.3, period: 20 },
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
   sphere: { center: [0, 0, 0.02], radius: 0.015, stiffness: 200 },
