@@ -68,3 +68,20 @@ def test_tip_follows_a_circle_on_the_wall_with_friction() -> None:
 def test_controller_that_cannot_hold_a_force_is_refused(controller: dict[str, Any], reason: str) -> None:
     with pytest.raises((CtrError, ConfigError), match=reason):
         load_experiment("touch", {"controller": {"strategy": "dual_layer", **controller}}, only="wall")
+
+
+@pytest.mark.parametrize("case", ["wall", "axial"])
+@pytest.mark.parametrize(
+    ("kind", "device"),
+    [("lose_tool", "tracker"), ("mute", "sensors"), ("freeze", "sensors"), ("disconnect", "stages")],
+)
+def test_force_does_not_rise_when_a_device_fails_during_a_press(case: str, kind: str, device: str) -> None:
+    faults = [{"kind": kind, "device": device, "at": 5.0}]
+    chosen = load_experiment("touch", {"faults": faults, "duration": 8.0}, only=case).cases[0]
+
+    recording = run_case(chosen, 3, VirtualClock(), lambda _: None)
+
+    time, force = exerted(recording, chosen)
+    assert not recording.completed
+    assert time[-1] < 5.5
+    assert force[time > 4.9].max() < FORCE_N + 0.05
