@@ -262,20 +262,23 @@ def observe(
         later, earlier = (newest - whole) % ticks, (newest - whole - 1) % ticks
         pc, cv = p - age * c, c - age * v  # P H^T with H = [1, -age]
         expected = pc - age * cv + noise
-        innovation = np.empty(3)
+        innovation, apart = np.empty(3), np.empty(3)
         for k in range(3):
             then = (1.0 - part) * tips[later, k] + part * tips[earlier, k]
-            innovation[k] = tip[k] - then - (bias[k] - age * drift[k])
+            apart[k] = tip[k] - then
+            innovation[k] = apart[k] - (bias[k] - age * drift[k])
             used = used and abs(innovation[k]) <= gate * np.sqrt(expected)
         if not used:
             alike = in_a_row > 0
             for k in range(3):
-                alike = alike and abs(innovation[k] - refused[k]) <= gate * np.sqrt(2.0 * noise)
-                refused[k] = innovation[k]
+                alike = alike and abs(apart[k] - refused[k]) <= gate * np.sqrt(2.0 * noise)
+                refused[k] = apart[k]
             in_a_row = in_a_row + 1 if alike else 1
             if in_a_row >= REACQUIRE_FRAMES:
                 used, squared = True, 0.0
                 for k in range(3):
+                    innovation[k] = apart[k] - bias[k]
+                    drift[k] = 0.0
                     squared += innovation[k] * innovation[k]
                 p, c, v = squared, 0.0, FIRST_DRIFT_STD_M_S**2
                 pc, cv = p, -age * v

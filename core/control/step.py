@@ -22,6 +22,7 @@ from core.control.force_control import (
     NO_CONTACT,
     Contact,
     Press,
+    agility,
     press,
     replaced_component,
     without_component,
@@ -354,7 +355,8 @@ def _pressing(
     here = (known.tip_ahead if controller.feedback.observes else tip) - memory.origin
     at = now.observed.tip - memory.origin
     contact = press(
-        desired, memory.contact, force, now.loaded.compliance[:3, :3], float(along @ at), gain,
+        desired, memory.contact, force, now.loaded.compliance[:3, :3], float(along @ at),
+        agility(now.loaded.jacobian[:3], *controller.limits.packed[2:4], along), gain,
         controller.force_delay, controller.period,
     )  # fmt: skip
     not_by_joints = float(along @ known.load_rate + along @ known.drift)

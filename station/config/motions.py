@@ -29,6 +29,7 @@ from core.errors import DescriptionError, Unreachable
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
+from station.config.controllers import ControllerFile
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
 
 _Rows = tuple[tuple[float, float, float, float], ...]
@@ -319,6 +320,18 @@ TipMotion = (
     HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion | ForceMotion
 )
 Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator="kind")]
+
+
+#: Bandwidth of the filters of force and deflection while the tip holds a force [Hz]. With the usual bandwidths friction
+#: in the tubes keeps up an oscillation: it reverses the forces at the sensors, and the loops follow their rate.
+PRESS_BANDWIDTH_HZ = 0.3
+
+
+def suited(file: ControllerFile, motion: Motion) -> ControllerFile:
+    """Return the controller's settings for a motion: with `PRESS_BANDWIDTH_HZ` for a force unless another is set."""
+    if motion.kind != "force" or file.filter_bandwidth is not None:
+        return file
+    return file.model_copy(update={"filter_bandwidth": PRESS_BANDWIDTH_HZ})
 
 
 class Orders:

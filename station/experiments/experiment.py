@@ -19,7 +19,7 @@ from core.errors import CtrError, PoseError, Unreachable
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.loads import Load, NoLoad, force_of
-from station.config.motions import Motion, Orders
+from station.config.motions import Motion, Orders, suited
 from station.config.regions import Regions
 from station.config.robots import RobotFile, load_robot, start_pose
 from station.config.strict import (
@@ -257,7 +257,7 @@ def _case(
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
         calibration = BenchCalibration.load(Path(file.calibration), robot) if file.calibration else None
         # The controller gets the calibrated robot. The lab keeps simulating its own true robot, which differs from it.
-        controller = file.controller.controller(
+        controller = suited(file.controller, file.trajectory).controller(
             robot if calibration is None else calibration.robot, lab.present, file.keep_out
         )
         if calibration is not None:

@@ -13,7 +13,7 @@ from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError, Unreachable
 from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile, default_controller
 from station.config.loads import Load, NoLoad, force_of
-from station.config.motions import HoldMotion, Orders, TipMotion
+from station.config.motions import HoldMotion, Orders, TipMotion, suited
 from station.config.robots import named_pose
 from station.config.strict import Strict, preset_names
 from station.control.states import Transition
@@ -141,7 +141,7 @@ class StationService:
         if refused := incompatibility(chosen, bench):
             raise RequestError(f"{name}, case {chosen.name}: {refused}")
         differs = deviations_from_case(chosen, bench)
-        controller = bench.controlled(chosen.file.controller)
+        controller = bench.controlled(suited(chosen.file.controller, chosen.file.trajectory))
         task = MotionTask(controller, chosen.orders, chosen.file.duration, chosen.start)
         about = {
             "experiment": name,
@@ -264,7 +264,8 @@ class StationService:
         orders = Orders(settings.trajectory, self.supervisor.robot)
         if orders.follow is not None and (missing := missing_target(self.supervisor.bench)):
             raise RequestError(f"{settings.trajectory.kind}: {missing}")
-        task = MotionTask(self.supervisor.bench.controlled(settings.controller), orders, settings.duration)
+        controller = self.supervisor.bench.controlled(suited(settings.controller, settings.trajectory))
+        task = MotionTask(controller, orders, settings.duration)
         self._check(settings.load)
         self.supervisor.check(Transition.START, permit)
         joints = self.supervisor.status().values["joints"]

@@ -250,6 +250,16 @@ def test_observer_rejects_a_jump_of_the_tip_and_accepts_it_when_it_lasts():
     assert bench.error[0] == pytest.approx(5e-3, abs=5e-4)
 
 
+def test_observer_accepts_frames_that_agree_although_its_own_extrapolation_moves_away_from_them():
+    bench = Bench(Observer(PERIOD), lambda time: np.array([0.04 * min(time, 2.0), 0.0, 0.0]), noise=1e-5)
+    bench.run(2.0)
+    bench.jump = np.array([-2e-3, 0.0, 0.0])
+    bench.run(0.1)
+
+    assert bench.error[0] == pytest.approx(-2e-3, abs=5e-4)
+    assert abs(bench.seen.drift[0]) < 5e-3
+
+
 def test_observer_never_accepts_outlier_frames_that_disagree_with_each_other():
     bench = Bench(Observer(PERIOD), lambda _: CONSTANT, noise=1e-4)
     bench.run(5.0)

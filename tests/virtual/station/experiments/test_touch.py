@@ -28,6 +28,16 @@ def exerted(recording: Recording, case: Case) -> tuple[np.ndarray, np.ndarray]:
     return of(recording.rows, "time")[:, 0], -of(recording.rows, "force_true") @ along / np.linalg.norm(along)
 
 
+@pytest.mark.parametrize("case", ["wall", "axial"])
+def test_force_does_not_oscillate_with_friction_in_the_tubes(case: str) -> None:
+    recording, chosen = ran(case, duration=12.0, lab="realistic")
+    time, force = exerted(recording, chosen)
+    late = force[time > 6.0]
+
+    assert late.mean() == pytest.approx(FORCE_N, abs=0.05)
+    assert late.std() < 0.035
+
+
 @pytest.mark.parametrize("case", ["wall", "soft", "axial"])
 def test_force_is_held_on_an_obstacle_at_rest(case: str) -> None:
     recording, chosen = ran(case, duration=10.0)
@@ -49,6 +59,20 @@ def test_moving_wall_is_followed() -> None:
     of = recording.channels.of
     travel = np.ptp(of(recording.rows, "tip_true")[time > 4.0, 0])
     assert travel == pytest.approx(0.010, abs=0.002)  # the tip moves with the wall
+
+
+def test_wall_that_is_too_quick_for_the_joints_is_not_lost() -> None:
+    recording, chosen = ran("fast", duration=12.0)
+    time, force = exerted(recording, chosen)
+    late = force[time > 4.0] - FORCE_N
+    at_rest = 0.005 / (0.0308 + 0.001) / np.sqrt(2.0)  # of joints at rest, with the compliance of tubes and wall
+    of = recording.channels.of
+    error = (of(recording.rows, "tip_true") - of(recording.rows, "tip_desired"))[time > 4.0, 1:]
+
+    assert np.sqrt((late**2).mean()) < 1.1 * at_rest  # joints that lag by a quarter of a period make it larger
+    assert abs(late.mean()) < 0.03
+    assert np.sqrt((error**2).sum(axis=1).mean()) < 2e-3
+    assert np.abs(of(recording.rows, "bias")[time > 4.0]).max() < 0.01  # the observer does not lose the tip
 
 
 def test_tip_follows_a_circle_on_the_wall_with_friction() -> None:
