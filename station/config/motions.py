@@ -208,10 +208,15 @@ class ForceMotion(Strict):
     """motion across the direction, for instance a circle whose normal is the direction; its part along the direction is
     ignored"""
 
+    @property
+    def press(self) -> Press:
+        """Desired force of the tip, and the bounds of its motion."""
+        along = np.array(self.direction) / np.linalg.norm(self.direction)
+        return Press(along, self.force, self.speed, self.reach)
+
     def trajectory(self) -> Trajectory:
         """Return the trajectory that the controller tracks."""
-        along = np.array(self.direction) / np.linalg.norm(self.direction)
-        return Pressed(self.path.trajectory(), Press(along, self.force, self.speed, self.reach))
+        return Pressed(self.path.trajectory(), self.press)
 
     def check(self, controller: Controller) -> None:
         """Check that the controller can hold a force.
@@ -342,6 +347,8 @@ class Orders:
         self._motion = motion
         #: The target determines the desired position; `at` gives the start position only.
         self.follow = motion if isinstance(motion, FollowMotion) else None
+        #: Desired force of the tip; None: the motion controls the position only.
+        self.press = motion.press if isinstance(motion, ForceMotion) else None
         self._trajectory: Trajectory | None = None
         self._directions = directions_of(motion.directions) if isinstance(motion, _Pointed) else None
         if isinstance(motion, JointSweepMotion):

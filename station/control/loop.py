@@ -20,6 +20,7 @@ from core.control.step import (
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
+from station.control.contact_start import contact_start
 from station.control.follow import TargetTrack
 from station.control.monitors import (
     EVENT_BY_SEVERITY,
@@ -90,6 +91,7 @@ class ControlLoop:
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
         self._target = TargetTrack()
+        self._contact_start = 0.0  # start of the contact of a tip that holds a force [s]; 0 without contact
         self._no_wrenches = np.zeros((len(controller.statics.robot.tubes), 6))  # of a bench without force sensors
 
     @property
@@ -299,10 +301,11 @@ class ControlLoop:
             self._act_on(DeviceFault(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        target = self._target.numbers(truth)
+        self._contact_start = contact_start(self._contact_start, now, tick, senses=devices.sensors is not None)
         self._row = self.channels.row(
-            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, request, target
-        )
+            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, request,
+            self._target.numbers(truth), self._contact_start,
+        )  # fmt: skip
         return self._row
 
     def _connect(self, now: float) -> None:

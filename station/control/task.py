@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from core.control.force_control import Press
 from core.control.setpoint_request import (
     DEFAULT_MOTION_BOUNDS,
     DEFAULT_TURN_BOUNDS,
@@ -215,6 +216,11 @@ class MotionTask:
     def follow(self) -> FollowMotion | None:
         """Motion that follows a target; None if the orders define the motion."""
         return self.orders.follow if isinstance(self.orders, Orders) else None
+
+    @property
+    def press(self) -> Press | None:
+        """Desired force of the tip; None if the motion controls the position only."""
+        return self.orders.press if isinstance(self.orders, Orders) else None
 
     def approach(self, joints: Array) -> Array | None:
         """Return the joint velocities (n,) [rad/s or m/s] from `joints` (n,) toward the start pose; None after arrival.

@@ -68,6 +68,7 @@ class Channels:
         troubles: tuple[int, int, int] = (0, 0, 0),
         request: StreamRequest | None = None,
         target: Array | None = None,
+        contact_start: float = 0.0,
     ) -> Array:
         """Return the row of one tick: its numbers in the order of the channels in `all`.
 
@@ -77,7 +78,8 @@ class Channels:
         without the device; the channels of an absent device have no meaning. Without force sensors the channels
         `FORCE_CHANNELS` are the force from the deflection. `request` is the latest setpoint request
         for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity. `target` (14,) is from
-        `TargetTrack.numbers`; without it the channels of the target are 0.
+        `TargetTrack.numbers`; without it the channels of the target are 0. `contact_start` is the time at which a tip
+        that holds a force has touched the obstacle [s], 0 without contact.
         """
         memory, now = tick.memory, tick.memory.estimate
         true_tip, true_force, _, true_direction = truth or _NO_TRUTH
@@ -97,6 +99,7 @@ class Channels:
             *(_NO_DIRECTIONS if memory.direction is None else _directions(tick, memory.direction)),
             _ZERO if true_direction is None else true_direction, _NO_TARGET if target is None else target,
             *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance,
+            contact_start,
         )  # fmt: skip
         if sensors == ABSENT and memory.deflection is not None:
             self.of(row, "force_filtered")[:] = memory.deflection.force
@@ -159,6 +162,7 @@ def _fill(
     request_kind: int, request_time: float, request: Array, request_velocity: Array,
     measured: Array, observed: Array, desired: Array, true_direction: Array, target: Array,
     deflection_force: Array, deflection_covariance: Array, clearance: float,
+    contact_start: float,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
@@ -193,7 +197,7 @@ def _fill(
     at = _put(row, at, target)
     at = _put(row, at, deflection_force)
     at = _put(row, at, deflection_covariance)
-    row[at] = clearance
+    row[at], row[at + 1] = clearance, contact_start
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -268,6 +272,7 @@ def _channels(robot: Robot) -> list[Channel]:
         *vector("force_by_deflection", "N"),
         *[Channel(f"force_by_deflection_covariance.{pair}", "N^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")],
         Channel("clearance", "m"),
+        Channel("contact_start", "s"),
     ]
 
 
@@ -285,7 +290,7 @@ TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_
 #: Channels that each tick of the controller updates.
 COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
     "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
-    "clearance",
+    "clearance", "contact_start",
 }  # fmt: skip
 #: Channels of unit vectors; they are 0 if the tip's direction is neither measured nor controlled.
 DIRECTION_CHANNELS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
+from core.control.force_control import OVERSHOOT, Press
 from core.control.reachability import SolvedConfiguration, check_pose
 from core.control.step import Controller
 from core.errors import CtrError, DescriptionError, PoseError
@@ -54,6 +55,8 @@ def incompatibility(case: Case, bench: Rig) -> str:
         return f"the station does not know its region '{unknown[0]}'; add the case's [[keep_out]] to the station's file"
     if case.orders.follow is not None and (missing := missing_target(bench)):
         return missing
+    if excessive := excessive_force(case.orders.press, bench):
+        return excessive
     if case.file.faults and bench.devices is not None:
         return "its faults are for the virtual lab's devices; this station has real devices"
     return ""
@@ -65,6 +68,17 @@ def missing_target(bench: Rig) -> str:
         return ""
     how = "`serve --lab breathing` has one" if bench.devices is None else "name its coil in devices.tracker.target"
     return f"it follows a target, and this station's tracker has no second coil for one: {how}"
+
+
+def excessive_force(press: Press | None, bench: Rig) -> str:
+    """Return why a desired force would end in HOLD on this station; empty when it is small enough or None."""
+    if press is None or press.force <= bench.max_desired_force:
+        return ""
+    return (
+        f"a desired force of {press.force:.3g} N is above {bench.max_desired_force:.3g} N: at the contact the force may"
+        f" exceed it by {100 * OVERSHOOT:.0f} %, and the motion ends in HOLD at {bench.max_force:.3g} N"
+        f" ({bench.robot.largest_force().reason})"
+    )
 
 
 def deviations_from_case(case: Case, bench: Rig) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from core.control.force_control import OVERSHOOT
 from core.control.reachability import check_pose
 from core.control.step import Controller
 from core.errors import CtrError
@@ -64,6 +65,11 @@ class Rig:
     def max_force(self) -> float:
         """Force on the tip at which a motion ends in HOLD, or at which the controller stops pushing [N]."""
         return self.robot.largest_force().newton
+
+    @property
+    def max_desired_force(self) -> float:
+        """Largest desired force of a motion `force` [N]; at the contact the force exceeds the desired one."""
+        return self.max_force / (1.0 + OVERSHOOT)
 
     @cached_property
     def limits(self) -> Limits:

@@ -25,6 +25,7 @@ from station.service.feasibility import (
     WORKING_POSE_HINT,
     check_path,
     deviations_from_case,
+    excessive_force,
     goto_joints,
     goto_working_pose,
     incompatibility,
@@ -265,6 +266,8 @@ class StationService:
         if orders.follow is not None and (missing := missing_target(self.supervisor.bench)):
             raise RequestError(f"{settings.trajectory.kind}: {missing}")
         controller = self.supervisor.bench.controlled(suited(settings.controller, settings.trajectory))
+        if excessive := excessive_force(orders.press, self.supervisor.bench):
+            raise RequestError(f"{settings.trajectory.kind}: {excessive}")
         task = MotionTask(controller, orders, settings.duration)
         self._check(settings.load)
         self.supervisor.check(Transition.START, permit)

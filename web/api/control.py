@@ -81,11 +81,12 @@ STREAMED_GROUPS = (
     "tip_estimated", "tip_desired", "tip_true", "force", "force_filtered", "force_variance", "u_int", "deflection",
     "deflection_filtered", "deflection_rate", "direction_measured", "direction_observed", "direction_desired",
     "direction_true", "target_followed", "target_measured", "target_offset", "target_true",
+    "contact_start",
 )  # fmt: skip
 #: Largest rate of telemetry samples to all WebSocket clients together [1/s]. A higher rate would use a whole processor.
 MAX_SAMPLES_PER_S = 400.0
 #: Names of the channel groups that consist of a single number.
-SCALAR_GROUPS = ("time", "state", "phase", "estimates_frozen", "truth_known", "target_followed")
+SCALAR_GROUPS = ("time", "state", "phase", "estimates_frozen", "truth_known", "target_followed", "contact_start")
 
 
 def control_routes(
@@ -238,7 +239,7 @@ def sample_out(service: StationService, row: Array, skipped: int, before: float 
     values: dict[str, Any] = {}
     for group in STREAMED_GROUPS:
         numbers = channels.of(row, group).tolist()
-        values[group] = numbers[0] if group in SCALAR_GROUPS else None if group in stale else numbers
+        values[group] = None if group in stale else numbers[0] if group in SCALAR_GROUPS else numbers
     # A late control loop skips whole periods, for which no row exists, so they are counted from the times of the rows.
     missed = 0 if before is None else max(0, round((values["time"] - before) / PERIOD_S) - 1 - skipped)
     named = {"state": State(int(values["state"])).name, "phase": Phase(int(values["phase"])).name.lower()}

@@ -60,6 +60,9 @@ class RigOut(Strict):
     """force on the tip at which a motion ends in HOLD, or the tip moves no further against the force [N]"""
     max_force_reason: str
     """which part of the robot `max_force` protects, or which key sets it"""
+    max_desired_force: float
+    """largest desired force of a motion `force` [N]; it is below `max_force`, because the force at the contact exceeds
+    the desired one by up to a half"""
     model: str
     """integrator of the model if the station chose it for the curvature of the tubes; empty: the paper's integrator, or
     the one of the station's file"""
@@ -197,6 +200,7 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
             tubes=tuple(tube.name for tube in bench.robot.tubes),
             max_force=force.newton,
             max_force_reason=force.reason,
+            max_desired_force=bench.max_desired_force,
             model=bench.model_note,
             tip_speed=JOG_TIP_SPEED_M_S,
             turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED_RAD_S,

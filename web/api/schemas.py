@@ -112,6 +112,8 @@ class RunOut(Strict):
     """duration of the motion [s]"""
     load: str
     """load on the simulated tip; empty: none, or attached by hand"""
+    desired_force: Vector | None
+    """force that the tip shall exert on an obstacle, world frame [N]; null: the motion is not of kind `force`"""
     recorded: bool
     """whether the run has, or will have, a recording; a motion to a pose has no recording"""
     recording: bool

@@ -4,9 +4,11 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from core.control.force_control import Press
 from station.camera.host import Cameras
 from station.client import FORMAT
 from station.config.loads import Load, NoLoad
+from station.config.strict import Vector
 from station.control.loop import Phase
 from station.control.realtime import RELIEF, load
 from station.control.states import LATCHED, State
@@ -151,6 +153,7 @@ def status_out(
         run = RunOut(
             id=status.run.id, title=status.run.start.title, phase=status.phase.name.lower(), progress=status.progress,
             duration=status.run.start.task.duration, load=_load(status.run.start.load),
+            desired_force=_desired_force(status.run.start.task.press),
             recorded=status.run.start.recorded, recording=status.recording,
         )  # fmt: skip
     return StatusOut(
@@ -212,6 +215,14 @@ def contact_out(side_load: SideLoad) -> ContactOut:
 def _load(load: Load | None) -> str:
     """Return a text of the load of a run; empty without one."""
     return "" if load is None or isinstance(load, NoLoad) else describe_keys(load)
+
+
+def _desired_force(press: Press | None) -> Vector | None:
+    """Return the force that the tip shall exert [N]; None if the motion controls the position only."""
+    if press is None:
+        return None
+    x, y, z = (press.force * press.direction).tolist()
+    return x, y, z
 
 
 def _devices(status: StationStatus) -> dict[str, DeviceOut]:

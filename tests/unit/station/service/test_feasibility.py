@@ -10,6 +10,7 @@ from core.errors import CtrError, Unreachable
 from station.config.controllers import DEFAULT_CONTROLLER
 from station.config.motions import (
     CircleMotion,
+    ForceMotion,
     HelixMotion,
     Orders,
     SinusoidMotion,
@@ -23,13 +24,14 @@ from station.experiments.experiment import load_experiment
 from station.service.feasibility import (
     check_path,
     deviations_from_case,
+    excessive_force,
     goto_joints,
     goto_working_pose,
     incompatibility,
     suggest_motion,
 )
 from station.service.station_file import load_station
-from station.service.station_service import StationService
+from station.service.station_service import RequestError, StationService
 from station.service.supervisor import Supervisor
 from tests.harness.cases import a_case
 from tests.harness.own_devices import OWN_DEVICES
@@ -49,6 +51,32 @@ def test_case_is_refused_if_a_robot_of_the_same_name_differs(bench):
     other = load_robot("paper").model_copy(update={"max_force": 1.0})
     case = a_case("fig8", "regulation")._replace(robot=other)
     assert "this station's robot of that name differs" in incompatibility(case, bench)
+
+
+def test_desired_force_is_refused_if_its_contact_would_end_in_hold(bench):
+    """The force at a contact exceeds the desired one by up to a half, and a motion ends in HOLD at 0.94 N."""
+    assert excessive_force(None, bench) == ""
+    assert excessive_force(ForceMotion(direction=(0.0, 0.0, 1.0), force=0.62).press, bench) == ""
+    text = excessive_force(ForceMotion(direction=(0.0, 0.0, 1.0), force=0.63).press, bench)
+    assert "0.63 N is above 0.624 N" in text
+    assert "HOLD at 0.936 N" in text
+
+
+def test_case_with_an_excessive_desired_force_is_refused(bench):
+    trajectory = {"kind": "force", "direction": [1.0, 0.0, 0.0]}
+    for force, reason in ((0.62, ""), (0.7, "0.7 N is above 0.624 N")):
+        case = load_experiment("touch", {"trajectory": {**trajectory, "force": force}}, only="wall").cases[0]
+        refused = incompatibility(case, bench)
+        assert (reason in refused) if reason else refused == ""
+
+
+def test_free_motion_with_an_excessive_desired_force_is_refused_before_the_state_is_checked(bench):
+    supervisor = Supervisor(bench)
+    try:
+        with pytest.raises(RequestError, match=r"0\.7 N is above 0\.624 N"):
+            StationService(supervisor).start_motion(ForceMotion(direction=(1.0, 0.0, 0.0), force=0.7))
+    finally:
+        supervisor.close()
 
 
 def test_warning_names_both_labs_if_the_lab_differs(bench):

@@ -56,6 +56,13 @@ def test_a_row_with_frozen_estimates_has_only_values_that_are_read(service: Stat
     assert groups_with_values(service, row) == {"joints", "trouble"}
 
 
+def test_the_start_of_a_contact_is_null_while_estimates_are_frozen(service: StationService, row: Array) -> None:
+    service.supervisor.channels.of(row, "contact_start")[:] = 12.5
+    assert sample_out(service, row, 0, None)["contact_start"] == 12.5
+    service.supervisor.channels.of(row, "estimates_frozen")[:] = 1.0
+    assert sample_out(service, row, 0, None)["contact_start"] is None
+
+
 @pytest.mark.parametrize(("place", "old"), [(1, TRACKER_CHANNELS), (2, SENSOR_CHANNELS)])
 def test_the_telemetry_values_of_a_silent_device_are_null(
     service: StationService, row: Array, place: int, old: frozenset[str]
