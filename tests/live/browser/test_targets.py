@@ -31,7 +31,7 @@ def test_operator_starts_following_an_external_target_and_stop_ends_it(
 ) -> None:
     open_tab(page, "start")
     page.locator(".card", has_text="external target").click()
-    expect(page.get_by_label("speed")).to_have_value("20")  # mm/s
+    expect(page.locator("#start").get_by_label("speed")).to_have_value("20")  # mm/s
     page.get_by_label("end", exact=True).fill("60")
     press_until_sent(page, page.get_by_role("button", name="Start following").click, "/api/gateway/target")
     page.locator("#state", has_text="RUNNING").wait_for()

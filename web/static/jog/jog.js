@@ -4,6 +4,7 @@ import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStat
 import { showReason } from "../page/header.js";
 import { onTab, openTab } from "../page/tabs.js";
 import { poseText, row } from "../page/form.js";
+import { box as press } from "./press.js";
 
 const REPEAT_MS = 100; // interval between two jog commands [ms]
 let active = null;
@@ -133,7 +134,7 @@ const teach = button("Add the tip to the waypoints", async () => {
   const { addHere } = await import("../run/waypoints.js");
   note(`waypoint ${addHere()} is added: run the list in the tab Run, motion 'waypoints'`, true, button("Open", () => openTab("start")));
 }, { title: "at the measured position of the tip; the first waypoint is the start" });
-$("jog").append(make("div", { className: "acts" }, teach), make("div", { id: "hands" }));
+$("jog").append(make("div", { className: "acts" }, teach), press, make("div", { id: "hands" }));
 onTab("jog", (open) => { if (!open) release(); });
 
 // ---- motion to a joint pose: the working pose of the robot's file, or any other

@@ -26,6 +26,10 @@ export function variants(all, field) {
   return Object.fromEntries(Object.entries(union.discriminator.mapping).map(([kind, where]) => [kind, all[named(where)]]));
 }
 
+/** Return a schema whose number `key` has a smaller maximum, which the station computes for this robot. */
+export const withMaximum = (schema, key, maximum) =>
+  ({ ...schema, properties: { ...schema.properties, [key]: { ...schema.properties[key], maximum: Math.floor(100 * maximum) / 100 } } });
+
 /** Return the first paragraph of a schema's description. */
 export const sentence = (schema) => (schema.description ?? "").split("\n\n")[0].replaceAll("\n", " ");
 

@@ -2,6 +2,7 @@
 import { $, button, clock, make, mayCommand, note, onStatus, sendCommand, setText } from "../page/station.js";
 import { isOpen } from "../page/tabs.js";
 import { Chart } from "../page/chart.js";
+import { forceDial } from "../page/dial.js";
 import { error, samples } from "../page/telemetry.js";
 
 const REFRESH_INTERVAL_MS = 200, SHOWN_S = 30; // interval of the drawings [ms], and time shown in them [s]
@@ -20,7 +21,7 @@ const progress = make("progress", { max: 1, value: 0, "aria-label": "progress" }
 const marked = make("input", { type: "text", value: "touched", maxLength: 200, "aria-label": "text of the mark" });
 const mark = button("Mark this moment", async () => { if (await sendCommand("POST", "/api/mark", { text: marked.value.trim() || "marked" })) note("marked in the recording", true); });
 /** The run in progress, hidden while there is none. */
-export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, ...charts.map((chart) => chart.element), make("div", { className: "acts" }, marked, mark));
+export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, forceDial(), ...charts.map((chart) => chart.element), make("div", { className: "acts" }, marked, mark));
 
 function point(time) {
   for (const chart of charts) chart.point(time);

@@ -1,11 +1,12 @@
 // Run: the station's experiments, and free motions with custom parameters.
 import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { form, poseText, schemas, sentence, variants } from "../page/form.js";
+import { form, poseText, schemas, sentence, variants, withMaximum } from "../page/form.js";
 import { card, head, openTab } from "../page/tabs.js";
 import { go } from "../jog/jog.js";
 import { change, origin, rows } from "./waypoint_list.js";
 import { box as now } from "./now.js";
+import { STIFFNESS_FIELDS, stiffnessForm } from "./stiffness.js";
 import { addToQueue, box as queue, repetitions } from "./queue.js";
 import { waypoints } from "./waypoints.js";
 
@@ -17,7 +18,7 @@ const INITIAL_VALUES = {
   trapezoid: { magnitude: 0.3, rise: 1, fall: 1, stay: 10, start: 2 }, tap: { peak: 0.5, start: 2 }, hung_weight: { weight: 0.2 }, ramps: { times: [0, 2.5, 5], magnitudes: [0, 0.5, 0] }, contact: { magnitude: 0.3, place: 0.1 },
   sphere: { center: [0, 0, 0.02], radius: 0.015, stiffness: 200 },
 };
-const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "stiffness", "max_offset", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
+const FOLDED_FIELDS = ["task", "direction_weight", "deflection_rate", "tip_velocity", "filter_bandwidth", "observer_bandwidth", "command_interval", "transport_delay", "integrator", "sublink", "direction", "max_speed", "max_acceleration"];
 const STREAM_DESCRIPTION = "An external program controls the tip over OpenIGTLink: transforms named Target, in the world frame.";
 const NO_TARGET = "Not possible here: no target is measured. Start the station by ctr-station serve --lab breathing, or give the tracker a second coil.";
 /** Time for which the tip stays at the last waypoint [s]. */
@@ -167,14 +168,18 @@ function union(all, field, kind, title, values = INITIAL_VALUES[kind]) {
   return { element: make("fieldset", {}, make("legend", {}, title), select, description, fields), read: () => chosen.read() };
 }
 
-const controllerForm = (all, values) => form(all.ControllerFile, { values: values ?? rig.controller, more: FOLDED_FIELDS, choices: { strategy: rig.strategies, inner: rig.inner } });
-const controlFields = (control) => make("fieldset", {}, make("legend", {}, "Control"), control.element);
+/** Return the fields of the controller: {element, read()}. Without `yields` the stiffness of the tip is not offered. */
+function controllerForm(all, values = rig.controller, yields = true) {
+  const control = form(all.ControllerFile, { values, more: FOLDED_FIELDS, skip: STIFFNESS_FIELDS, choices: { strategy: rig.strategies, inner: rig.inner } });
+  const stiffness = yields ? stiffnessForm(all.ControllerFile, values) : null;
+  return { element: make("div", {}, make("fieldset", {}, make("legend", {}, "Control"), control.element), stiffness?.element), read: () => ({ ...control.read(), ...stiffness?.read() }) };
+}
 
 function motion(kind, schema, all, values = {}) {
-  const path = form(schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
+  const path = form(kind === "force" ? withMaximum(schema, "force", rig.max_desired_force) : schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
   // Only the virtual lab can apply a load; on a real rig a person attaches it.
   const load = rig.virtual ? union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
-  const control = controllerForm(all, values.controller);
+  const control = controllerForm(all, values.controller, kind !== "force");
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
   const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
   blockedReason = missingTarget(kind);
@@ -183,7 +188,7 @@ function motion(kind, schema, all, values = {}) {
     make("p", { className: "small dim" }, `If the force on the tip exceeds ${rig.max_force.toPrecision(2)} N, the motion ends in HOLD (${rig.max_force_reason}).${rig.model && ` ${rig.model[0].toUpperCase()}${rig.model.slice(1)}.`}`),
     make("fieldset", {}, make("legend", {}, "Motion"), table?.element, path.element, time.element,
       table && saved(kind, () => ({ ...read(), ...(origin() && { start: origin().joints }) }), (stored) => restoreMotion(stored, schema, all))),
-    load?.element, controlFields(control)], "Start motion", () => startRun(read()));
+    load?.element, control.element], "Start motion", () => startRun(read()));
   const repeat = repetitions();
   submitButton.after(button("Add to queue", () => { if (submitButton.form.reportValidity()) addToQueue(read(), repeat); }), repeat.element);
 }
@@ -195,7 +200,7 @@ function streamForm(all) {
   blockedReason = "";
   open("external target", [make("p", {}, STREAM_DESCRIPTION),
     make("p", { className: "small dim" }, "The tip does not move before the first target arrives. The first program that sends a target controls the tip until it disconnects. Keep this page open, and STOP within reach."),
-    make("fieldset", {}, make("legend", {}, "Bounds"), bounds.element), controlFields(control)],
+    make("fieldset", {}, make("legend", {}, "Bounds"), bounds.element), control.element],
   "Start following", () => sendCommand("POST", "/api/gateway/target", { ...bounds.read(), controller: control.read() }));
 }
 
