@@ -1,5 +1,5 @@
 // Dial of a force that the tip holds on an obstacle: estimated and desired force, and the force at which a motion ends.
-import { make, onStatus, rigAnswer, setText } from "./station.js";
+import { make, onStatus, rigAnswer, setText, SILENT_AFTER_S } from "./station.js";
 import { svg } from "./chart.js";
 import { latestSample } from "./telemetry.js";
 
@@ -57,7 +57,7 @@ export function forceDial() {
     const desired = run?.desired_force ?? null;
     element.hidden = desired === null;
     if (desired === null) return;
-    const goalForce = length(desired), { exerted, contact: seconds } = measured(latestSample(), desired);
+    const goalForce = length(desired), { exerted, contact: seconds } = measured(latestSample(SILENT_AFTER_S), desired);
     const turn = angle(exerted ?? 0);
     goal.setAttribute("transform", `rotate(${angle(goalForce)} ${X} ${Y})`);
     needle.style.transform = `rotate(${turn}deg)`;
