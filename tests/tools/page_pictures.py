@@ -82,6 +82,13 @@ def jog(desk: Desk) -> bytes:
     return desk.shot()
 
 
+def touch(desk: Desk) -> bytes:
+    """Picture of the tab Run while the tip holds a force on a wall."""
+    desk.tab("start")
+    desk.start({"experiment": "touch", "case": "wall"}, 0.3)
+    return desk.shot()
+
+
 def pad(desk: Desk) -> bytes:
     """Picture of the tab Jog while a gamepad moves the tip back along the tubes."""
     desk.station.ready()
@@ -179,7 +186,7 @@ def follow(desk: Desk) -> bytes:
 
 #: Functions that take the pictures, by the virtual lab that they need and in their order.
 PICTURES: dict[str, tuple[Callable[[Desk], bytes], ...]] = {
-    "gentle": (jog, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
+    "gentle": (jog, touch, places, pad, run, devices, plots, runs, faults, dark, hold, contact, panel),
     "breathing": (follow,),
 }
 #: Names of the pictures that are taken if the command names none: all except the main README's picture.
