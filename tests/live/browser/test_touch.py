@@ -41,7 +41,7 @@ def pressing(station: Served, load: dict[str, Any]) -> None:
 
 def started(page: Page, button: Locator) -> dict[str, Any]:
     """Press a button that starts a run; return the request."""
-    sent: list[dict[str, Any]] = []
+    sent: list[Any] = []
     page.on("request", lambda request: sent.append(request.post_data_json) if "/api/start" in request.url else None)
     press_until_sent(page, button.click)
     return sent[-1]
