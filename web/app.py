@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gc
 import io
 import socket
 import sys
@@ -36,6 +37,7 @@ from web.api.calibration import calibration_routes
 from web.api.cameras import STREAM_MEDIA_TYPE, camera_routes
 from web.api.commands import commands, operator_routes, watch_operator, with_permits
 from web.api.control import control_routes
+from web.api.description import DESCRIPTION_PATH, described_on_demand
 from web.api.experiments import waypoint_routes
 from web.api.queue import queue_routes
 from web.api.refusals import answer_errors, renamed_routes, require_utf8
@@ -119,6 +121,8 @@ def serve_web(
             supervisor.wait_ready(START_TIMEOUT_S)  # returns after the control process has started
         finally:
             slow.cancel()
+        gc.freeze()  # what the start has created exists until the end, so a collection does not have to check it
+        gc.enable()
         # The main thread only waits for signals.
         ended = threading.Event()
 
@@ -253,7 +257,7 @@ def build_app(
         description="Lab station for externally loaded concentric-tube robots. SI units, world frame.",
         docs_url="/api/docs",
         redoc_url=None,
-        openapi_url="/api/openapi.json",
+        openapi_url=DESCRIPTION_PATH,
         lifespan=lifespan,
         dependencies=[Depends(require_utf8)],
     )
@@ -285,5 +289,5 @@ def build_app(
     )  # fmt: skip
 
     answer_errors(app)
-    app.openapi()  # generated now, because doing this in a request could delay STOP
-    return AuditMiddleware(Access(with_permits(app, service.supervisor), host, port, tokens), audit)
+    permitted = with_permits(described_on_demand(app), service.supervisor)
+    return AuditMiddleware(Access(permitted, host, port, tokens), audit)

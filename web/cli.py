@@ -10,6 +10,7 @@ from types import FrameType
 
 from station.cli.main import execute, parser
 from station.cli.options import add_without, data_folder, seed
+from station.control.realtime import uncollected
 from web.gateway.options import FOXGLOVE_PORT, IGTL_PORT, ZENOH_PORT, GatewayOptions, ListenAddress, address_of
 
 #: Signals that end the station in an orderly way.
@@ -62,7 +63,9 @@ def _serve(parsed: argparse.Namespace) -> int:
     }
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
-    with exit_on_signal() as interrupted:
+    # A start creates many objects and hardly any garbage, whose collection would be a fifth of its processor time. The
+    # web server enables the collection again when it starts.
+    with exit_on_signal() as interrupted, uncollected():
         from web.serve import serve
 
         browser = not parsed.no_browser

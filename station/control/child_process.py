@@ -146,6 +146,7 @@ def _forked(inherited: set[int], main: Callable[..., None], *arguments: Any) -> 
         os.dup2(nothing, descriptor, inheritable=False)
     os.close(nothing)
     gc.freeze()  # a collection would copy the memory that the child shares with its parent
+    gc.enable()  # the parent disables it during its start
     main(*arguments)
 
 

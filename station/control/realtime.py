@@ -184,7 +184,7 @@ def freeze_garbage_collection() -> None:
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """Disable garbage collection inside the block, because a collection would delay a tick of the control loop."""
+    """Disable garbage collection inside the block: a collection would delay a tick of the control loop, or a start."""
     before = gc.isenabled()
     gc.disable()
     try:

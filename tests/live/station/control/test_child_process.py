@@ -1,6 +1,7 @@
 """Child processes: messages, end on request, and kill; forked children share nothing with their parent but its code."""
 
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -114,6 +115,7 @@ def describe(pipe: Connection, parent: int) -> None:
             "forked": bool(KNOWN),
             "sockets": sockets,
             "default SIGTERM": signal.getsignal(signal.SIGTERM) is signal.SIG_DFL,
+            "collects garbage": gc.isenabled(),
         }
     )
     with contextlib.suppress(EOFError):
@@ -124,6 +126,7 @@ def be_parent(threads: int) -> None:
     """Run a parent with a port, a signal handler, other children and further threads; print what its child is like."""
     KNOWN.append("the parent")
     signal.signal(signal.SIGTERM, lambda *_: None)
+    gc.disable()  # as during the start of a station
     first = ChildProcess(describe, name="first")
     first.pipe.recv()
     with socket.create_server(("127.0.0.1", 0)):
@@ -148,7 +151,7 @@ def test_only_a_parent_without_further_threads_forks_and_no_child_keeps_its_sock
         assert parent.stdout is not None
         about = json.loads(parent.stdout.readline())
         child = psutil.Process(about.pop("pid"))
-        expected = {"is the parent's child": True, "sockets": 1, "default SIGTERM": True}
+        expected = {"is the parent's child": True, "sockets": 1, "default SIGTERM": True, "collects garbage": True}
         assert about == {"forked": forked, **expected}
         parent.kill()
     child.wait(NET)
