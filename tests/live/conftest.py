@@ -5,13 +5,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
+from tests.harness.shared import Shared
 from tests.harness.waiting import NET
 
 HERE = Path(__file__).parent
@@ -20,32 +20,17 @@ HERE = Path(__file__).parent
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Order the tests: browser tests first, then other live tests, then the rest; tests that share a station together.
 
-    One worker then runs the browsers, whose drawing occupies a processor, and the shared station ends early.
+    One worker then runs the browsers, whose drawing occupies a processor, and the shared stations end early.
     """
     pages = {item.path for item in items if "browser" in item.fixturenames}
     sharing = {item.path for item in items if _shares_the_station(item)}
     live = {item.path for item in items if item.path.is_relative_to(HERE)}
-    items.sort(key=lambda item: (item.path not in live, item.path not in pages, item.path not in sharing))
+    faults = {item.path for item in items if "lone" in item.fixturenames}
+    first = (live, pages, sharing, faults)
+    items.sort(key=lambda item: (*(item.path not in paths for paths in first), "lone" not in item.fixturenames))
 
 
-class SharedStation:
-    """Station that is shared by all tests that leave it READY; it ends when the next test does not share it."""
-
-    def __init__(self) -> None:
-        self._owned = ExitStack()
-        self._served: Served | None = None
-
-    def __call__(self) -> Served:
-        if self._served is None:
-            self._served = self._owned.enter_context(serving())
-        return self._served
-
-    def end(self) -> None:
-        self._served = None
-        self._owned.close()
-
-
-_SHARED = pytest.StashKey[SharedStation]()
+_SHARED = pytest.StashKey[Shared[Served]]()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -72,8 +57,8 @@ def _shares_the_station(item: pytest.Item) -> bool:
     return bool(found) and found[-1].baseid == "tests/live"
 
 
-def _shared(session: pytest.Session) -> SharedStation:
-    return session.stash.setdefault(_SHARED, SharedStation())
+def _shared(session: pytest.Session) -> Shared[Served]:
+    return session.stash.setdefault(_SHARED, Shared(serving))
 
 
 @pytest.fixture

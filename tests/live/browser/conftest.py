@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable, Generator, Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -10,6 +9,7 @@ from playwright.sync_api import Browser, Page
 
 from tests.harness.chromium import CHROMIUM, bare_page, chromium
 from tests.harness.serving import Served
+from tests.harness.shared import Shared
 
 HERE = Path(__file__).parent
 
@@ -33,24 +33,7 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 _DESELECTED = pytest.StashKey[int]()
 
 
-class SharedBrowser:
-    """Chromium that is shared by consecutive tests that need one; every test closes its own pages."""
-
-    def __init__(self) -> None:
-        self._owned = ExitStack()
-        self._browser: Browser | None = None
-
-    def __call__(self) -> Browser:
-        if self._browser is None:
-            self._browser = self._owned.enter_context(chromium())
-        return self._browser
-
-    def end(self) -> None:
-        self._browser = None
-        self._owned.close()
-
-
-_BROWSER = pytest.StashKey[SharedBrowser]()
+_BROWSER = pytest.StashKey[Shared[Browser]]()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -61,8 +44,8 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
         _shared(item.session).end()
 
 
-def _shared(session: pytest.Session) -> SharedBrowser:
-    return session.stash.setdefault(_BROWSER, SharedBrowser())
+def _shared(session: pytest.Session) -> Shared[Browser]:
+    return session.stash.setdefault(_BROWSER, Shared(chromium))
 
 
 @pytest.fixture(scope="module")
