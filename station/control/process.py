@@ -6,6 +6,7 @@ process is gone, the axes are stopped and this process ends.
 
 import contextlib
 import os
+import select
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -139,6 +140,9 @@ class _LiveLoop:
     ) -> None:
         self._loop, self._ring, self._pipe, self._parent = loop, ring, pipe, parent
         self._calls, self._clock = calls, setup.clock
+        # `Connection.poll` creates and registers a selector at each call, which is a tenth of a tick's processor time.
+        self._commands = select.poll()
+        self._commands.register(pipe, select.POLLIN)
         self._station = StationLife(ring, setup.clock, parent)
         self._overruns = Overruns(setup.overruns, PERIOD_S)
         self._started = 0.0
@@ -245,7 +249,7 @@ class _LiveLoop:
         if STATION_CHECK_AFTER_S < self._station.silence < STATION_BUSY and is_dying(self._parent):
             return False
         try:
-            while self._pipe.poll():
+            while self._commands.poll(0):
                 command: Command | None = self._pipe.recv()
                 if command is None:
                     return False
