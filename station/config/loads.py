@@ -296,6 +296,14 @@ class Depth(NamedTuple):
     normal: Array  #: (3,) unit normal of the surface, which points out of the obstacle
 
 
+class Spot(NamedTuple):
+    """Additional stiffness of an obstacle at a point of its surface, with its derivatives by the tip's position."""
+
+    stiffness: float  #: additional normal force per depth [N/m]
+    gradient: Array  #: (3,) [N/m^2]
+    curvature: Array  #: (3, 3) second derivative [N/m^3]
+
+
 class _Obstacle(_AtTip):
     """An obstacle that the tip touches: elastic normal force, damping and friction."""
 
@@ -315,9 +323,18 @@ class _Obstacle(_AtTip):
         """Return the force (3,) [N] of an obstacle that the tip does not touch: zero."""
         return np.zeros(3)
 
+    def spot(self, offset: Array) -> Spot | None:  # noqa: ARG002 - the same everywhere
+        """Return the additional stiffness below a tip at `offset` (3,) [m] from its start; None: uniform stiffness."""
+        return None
+
 
 class WallLoad(_Obstacle):
-    """A flat wall, which may move along its normal; with damping it is a Kelvin-Voigt tissue."""
+    """A flat wall, which may move along its normal; with damping it is a Kelvin-Voigt tissue.
+
+    With a lump it is a tissue that is stiffer above an inclusion: a bed of independent springs with the energy
+    k(s) d^2 / 2, where d is the depth of the tip and s its position on the surface. The force is the negative gradient
+    of the energy, so it also pushes the tip from the lump toward softer places, by k'(s) d^2 / 2.
+    """
 
     kind: Literal["wall"] = "wall"
     direction: Direction = (0.0, 0.0, -1.0)
@@ -330,6 +347,12 @@ class WallLoad(_Obstacle):
     """largest displacement of the moving wall, 0 for a wall at rest [m]"""
     frequency: Annotated[float, Field(ge=0.01, le=5.0)] = 0.25
     """frequency of the wall's motion [Hz]"""
+    lump_stiffness: Annotated[float, Field(ge=0.0, le=1e4)] = 0.0
+    """additional normal force per depth above the center of a stiff lump in the wall, 0 without a lump [N/m]"""
+    lump_center: Vector = (0.0, 0.0, 0.0)
+    """center of the lump relative to the tip at the motion's start; only its part across `direction` counts [m]"""
+    lump_radius: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
+    """distance from the center at which the additional stiffness has decreased to 1 / e [m]"""
 
     def displacement(self, time: float) -> float:
         """Return the displacement of the wall along its normal [m] at `time` [s] since the motion's start."""
@@ -343,6 +366,18 @@ class WallLoad(_Obstacle):
         """Return the depth of a tip at `offset` (3,) [m] from its start, at `time` [s] since the motion's start."""
         normal = _unit(self.direction)
         return Depth(self.displacement(time) - self.distance - float(normal @ offset), normal)
+
+    def spot(self, offset: Array) -> Spot | None:
+        """Return the additional stiffness of the lump below a tip at `offset` (3,) [m] from its start."""
+        if self.lump_stiffness == 0.0:
+            return None
+        normal, away = _unit(self.direction), offset - np.array(self.lump_center)
+        across = np.eye(3) - np.outer(normal, normal)
+        away = across @ away / self.lump_radius
+        size = self.lump_stiffness * math.exp(-float(away @ away))
+        gradient = -2.0 * size / self.lump_radius * away
+        curvature = 2.0 * size / self.lump_radius**2 * (2.0 * np.outer(away, away) - across)
+        return Spot(size, gradient, curvature)
 
 
 class SphereLoad(_Obstacle):
@@ -365,6 +400,19 @@ class SphereLoad(_Obstacle):
 BEAT_SHARE = 0.35
 #: Loads whose force depends on the tip.
 Obstacle = WallLoad | SphereLoad
+
+
+def elastic_force(obstacle: Obstacle, offset: Array) -> Array:
+    """Return the force (3,) [N] of an obstacle at rest, without friction, on a tip at `offset` (3,) [m] from its start.
+
+    `station.lab.tip_contact` adds damping, friction and the motion of the obstacle.
+    """
+    depth, normal = obstacle.depth(offset, 0.0)
+    if depth <= 0.0:
+        return np.zeros(3)
+    if (spot := obstacle.spot(offset)) is None:
+        return obstacle.stiffness * depth * normal
+    return (obstacle.stiffness + spot.stiffness) * depth * normal - 0.5 * depth * depth * spot.gradient
 
 
 Load = Annotated[

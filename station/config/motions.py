@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from core.control.controllers import TYPE_2
-from core.control.force_control import Press
+from core.control.force_control import Press, without_component
+from core.control.palpation import Palpation
 from core.control.reachability import check_pose, check_reach
 from core.control.step import Controller
 from core.control.trajectories import (
@@ -209,29 +210,98 @@ class ForceMotion(Strict):
     ignored"""
 
     @property
+    def along(self) -> Array:
+        """Direction in which the tip presses (3,), unit vector."""
+        return np.array(self.direction) / np.linalg.norm(self.direction)
+
+    @property
     def press(self) -> Press:
         """Desired force of the tip, and the bounds of its motion."""
-        along = np.array(self.direction) / np.linalg.norm(self.direction)
-        return Press(along, self.force, self.speed, self.reach)
+        return Press(self.along, self.force, self.speed, self.reach)
 
     def trajectory(self) -> Trajectory:
         """Return the trajectory that the controller tracks."""
         return Pressed(self.path.trajectory(), self.press)
 
-    def check(self, controller: Controller) -> None:
-        """Check that the controller can hold a force.
 
-        Raises:
-            DescriptionError: it has other loops, or it also gives way to the force.
-        """
-        laws = controller.strategy.laws
-        if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
-            raise DescriptionError(
-                "force: the motion needs strategy 'dual_layer' with k1 = k2 above 0, inner = 'type_2' and feedback ="
-                " 'observer' or 'tracker'"
-            )
-        if controller.stiffness is not None:
-            raise DescriptionError("force: the motion holds a force, so remove 'stiffness' from the controller")
+class PalpateMotion(Strict):
+    """Visit a grid of places in front of an obstacle, and press on each with two forces to measure its stiffness."""
+
+    kind: Literal["palpate"] = "palpate"
+    direction: Direction = (0.0, 0.0, 1.0)
+    """direction in which the tip presses, world frame; its length does not matter"""
+    across: Direction = (1.0, 0.0, 0.0)
+    """direction of the grid's rows, world frame; only its part across `direction` counts"""
+    columns: Annotated[int, Field(ge=1, le=50)] = 3
+    """number of places in a row; the start tip is in front of the middle of the grid"""
+    rows: Annotated[int, Field(ge=1, le=50)] = 3
+    """number of rows"""
+    spacing: Annotated[float, Field(gt=0.0, le=0.05)] = 0.003
+    """distance between neighbouring places [m]"""
+    light: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
+    """first force of the tip at each place [N]"""
+    force: Annotated[float, Field(gt=0.0, le=5.0)] = 0.2
+    """second force of the tip at each place, greater than `light` [N]"""
+    travel: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
+    """time of the retreat and of the motion to the next place [s]"""
+    dwell: Annotated[float, Field(ge=0.5, le=60.0)] = 3.0
+    """time for each of the two forces; the first includes the approach, and the second half of each is measured [s]"""
+    speed: Annotated[float, Field(gt=0.0, le=0.05)] = 0.005
+    """largest speed of the approach to the first contact [m/s]; the motion `force` describes its other bound"""
+    reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
+    """largest distance of the tip from its start along the direction, both ways [m]"""
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if not self.force > self.light:
+            raise ValueError(f"force {self.force:g} N must be greater than light {self.light:g} N")
+        if np.linalg.norm(np.cross(self.across, self.along)) < 1e-3 * np.linalg.norm(self.across):
+            raise ValueError(f"across {self.across} is parallel to direction {self.direction}")
+        return self
+
+    @property
+    def along(self) -> Array:
+        """Direction in which the tip presses (3,), unit vector."""
+        return np.array(self.direction) / np.linalg.norm(self.direction)
+
+    @property
+    def grid(self) -> tuple[tuple[int, int], ...]:
+        """Row and column of each place in the order of the visits: every second row is visited backward."""
+        forward = range(self.columns)
+        return tuple((row, column) for row in range(self.rows) for column in (forward, forward[::-1])[row % 2])
+
+    def place(self, row: int, column: int) -> Array:
+        """Return the offset (3,) of a place of the grid from the start tip [m]."""
+        first = without_component(np.array(self.across), self.along)
+        first /= np.linalg.norm(first)
+        right, up = column - 0.5 * (self.columns - 1), row - 0.5 * (self.rows - 1)
+        return self.spacing * (right * first + up * np.cross(self.along, first))
+
+    def trajectory(self) -> Palpation:
+        """Return the trajectory that the controller tracks."""
+        places = tuple(tuple(self.place(row, column).tolist()) for row, column in self.grid)
+        light, firm = (Press(self.along, force, self.speed, self.reach) for force in (self.light, self.force))
+        return Palpation(places, light, firm, self.travel, self.dwell)
+
+
+#: Motions that hold a force.
+PressMotion = ForceMotion | PalpateMotion
+
+
+def check_press(motion: PressMotion, controller: Controller) -> None:
+    """Check that the controller can hold a force.
+
+    Raises:
+        DescriptionError: it has other loops, or it also gives way to the force.
+    """
+    laws = controller.strategy.laws
+    if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
+        raise DescriptionError(
+            f"{motion.kind}: the motion needs strategy 'dual_layer' with k1 = k2 above 0, inner = 'type_2' and feedback"
+            " = 'observer' or 'tracker'"
+        )
+    if controller.stiffness is not None:
+        raise DescriptionError(f"{motion.kind}: the motion holds a force, so remove 'stiffness' from the controller")
 
 
 class CsvMotion(Strict):
@@ -322,7 +392,15 @@ class JointSweepMotion(Strict):
 
 #: Motions that both files and REST requests may contain.
 TipMotion = (
-    HoldMotion | SinusoidMotion | CircleMotion | HelixMotion | WaypointsMotion | StepMotion | FollowMotion | ForceMotion
+    HoldMotion
+    | SinusoidMotion
+    | CircleMotion
+    | HelixMotion
+    | WaypointsMotion
+    | StepMotion
+    | FollowMotion
+    | ForceMotion
+    | PalpateMotion
 )
 Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator="kind")]
 
@@ -379,8 +457,8 @@ class Orders:
             CtrError: the start pose or the sweep violates a limit, or a custom loop violates its contract.
         """
         controller.check_loops(start)
-        if isinstance(self._motion, ForceMotion):
-            self._motion.check(controller)
+        if isinstance(self._motion, PressMotion):
+            check_press(self._motion, controller)
         if isinstance(self._motion, JointSweepMotion):
             self._motion.check(start, controller.statics, controller.limits)
         elif self._trajectory is not None:

@@ -124,6 +124,11 @@ class TipContact:
         rise = obstacle.stiffness + obstacle.damping / period
         across = np.outer(normal, normal)
         force, slope = size * normal, rise * across
+        if (spot := obstacle.spot(offset)) is not None:
+            size, rise = size + spot.stiffness * depth, rise + spot.stiffness
+            tilt = depth * np.outer(normal, spot.gradient)
+            force = size * normal - 0.5 * depth * depth * spot.gradient
+            slope = rise * across - tilt - tilt.T + 0.5 * depth * depth * spot.curvature
         if obstacle.friction > 0.0 and self._stuck_at is not None and size > 0.0:
             rub = -obstacle.stiffness * (offset - self._stuck_at)
             rub -= float(rub @ normal) * normal
@@ -147,7 +152,10 @@ class TipContact:
             self._stuck_at = offset
         else:
             # Where the tip slides, the surface point follows, so that the pull stays at its largest value.
-            self._stuck_at = offset + (force - float(force @ normal) * normal) / self._obstacle.stiffness
+            rub = force - float(force @ normal) * normal
+            if (spot := self._obstacle.spot(offset)) is not None:
+                rub = rub + 0.5 * self._depth**2 * spot.gradient
+            self._stuck_at = offset + rub / self._obstacle.stiffness
 
 
 class _Push(NamedTuple):
