@@ -63,6 +63,7 @@ class Palpation:
 
     def setpoint(self, time: float) -> Setpoint:
         """Return the desired offset, velocity and force at `time` [s] from the start."""
+        time = max(time, 0.0)
         number = math.floor(time / self.visit)
         since, done = time - number * self.visit, number >= len(self.places)
         before, after = self._stops[min(number, len(self.places))], self._stops[min(number + 1, len(self.places))]
@@ -95,7 +96,7 @@ class Palpation:
         """Return whether each of `times` (m,) [s] is in the second half of the time for a force."""
         number, since = np.divmod(times, self.visit)
         settled = np.mod(since - self.travel, self.dwell) >= SETTLING_SHARE * self.dwell
-        return settled & (since >= self.travel) & (number >= 0) & (number < len(self.places))
+        return settled & (since >= self.travel) & (times >= 0.0) & (number < len(self.places))
 
     def stiffness(self, times: Array, force: Array, frame_times: Array, tip: Array) -> Array:
         """Return the estimated stiffness of each place (places,) [N/m]; NaN for a place without an estimate.

@@ -31,7 +31,7 @@ KEYS_BY_STRATEGY: dict[str, tuple[str, ...]] = {
     "dual_layer": CONTROLLER_KEYS,
 }
 AXES = "xyz"
-DIRECTIONS = ("direction", "normal", "axis")
+DIRECTIONS = ("direction", "across", "normal", "axis")
 
 
 class CaseFact(NamedTuple):

@@ -17,6 +17,7 @@ from station.config.loads import (
     SineLoad,
     SphereLoad,
     WallLoad,
+    elastic_force,
     force_of,
 )
 from station.config.strict import ConfigError, Strict, check
@@ -244,3 +245,37 @@ def test_depth_in_a_sphere_is_its_radius_minus_the_distance_from_its_center():
 def test_obstacle_outside_its_bounds_is_refused(table):
     with pytest.raises(ConfigError):
         load(**table)
+
+
+@pytest.mark.parametrize("offset", [(0.004, 0.001, -0.002), (0.006, -0.003, 0.001), (0.003, 0.0, 0.0)])
+def test_force_of_a_wall_with_a_lump_is_the_negative_gradient_of_its_energy(offset):
+    wall = WallLoad(
+        direction=(-2.0, 0.0, 0.0), distance=0.002, stiffness=150.0, lump_stiffness=250.0,
+        lump_center=(9.0, 0.001, 0.0), lump_radius=0.004,
+    )  # fmt: skip
+
+    def energy(x: float, y: float, z: float) -> float:
+        stiffness = 150.0 + 250.0 * math.exp(-((y - 0.001) ** 2 + z**2) / 0.004**2)
+        return 0.5 * stiffness * (x - 0.002) ** 2
+
+    def force(position: np.ndarray, step: float = 1e-6) -> list[float]:
+        return [-(energy(*(position + d)) - energy(*(position - d))) / (2.0 * step) for d in step * np.eye(3)]
+
+    assert elastic_force(wall, np.array(offset)) == pytest.approx(force(np.array(offset)), rel=1e-6, abs=1e-9)
+
+
+def test_stiffness_of_a_lump_has_the_given_derivatives():
+    wall = WallLoad(direction=(0.0, 0.6, -0.8), lump_stiffness=250.0, lump_center=(0.001, 0.0, 0.002))
+    at, step = np.array([0.002, 0.001, 0.004]), 1e-6
+    spots = [(wall.spot(at + d), wall.spot(at - d)) for d in step * np.eye(3)]
+    here = wall.spot(at)
+
+    assert here.gradient == pytest.approx([(a.stiffness - b.stiffness) / (2 * step) for a, b in spots], rel=1e-6)
+    assert here.curvature == pytest.approx(
+        np.array([(a.gradient - b.gradient) / (2 * step) for a, b in spots]), rel=1e-6
+    )
+
+
+def test_obstacle_that_the_tip_does_not_touch_has_no_elastic_force():
+    assert not elastic_force(WallLoad(distance=0.005, lump_stiffness=10.0), np.array([0.0, 0.0, 0.0049])).any()
+    assert not elastic_force(SphereLoad(center=(0.0, 0.0, 0.02), radius=0.01), np.zeros(3)).any()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from station.config.loads import ConstantLoad, SphereLoad, WallLoad
+from station.config.loads import ConstantLoad, SphereLoad, WallLoad, elastic_force
 from station.config.robots import load_robot
 from station.lab.config import PlantConfig, load_lab
 from station.lab.frictional_plant import true_plant
@@ -121,3 +121,24 @@ def test_load_that_does_not_depend_on_the_tip_acts_as_on_the_plant_itself():
     loaded, bare = LoadedPlant(plant()), plant()
     loaded.apply(ConstantLoad(magnitude=0.2), 0.0)
     assert (loaded.advance(START, 0.0).truth.tip == bare.advance(START, np.array([0.2, 0.0, 0.0])).truth.tip).all()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_force_of_every_tick_on_a_lump_follows_from_its_energy_at_the_true_tip(friction):
+    wall = WallLoad(
+        direction=(0.0, 0.0, -1.0), distance=0.001, stiffness=150.0, friction=friction,
+        lump_stiffness=250.0, lump_center=(0.002, 0.0, 0.0), lump_radius=0.004,
+    )  # fmt: skip
+    loaded = LoadedPlant(plant())
+    start = loaded.advance(START, 0.0).truth.tip
+    loaded.apply(wall, 0.0)
+    loads, rubs = [], []
+    for tick in range(400):
+        truth = loaded.advance(START + np.array([0.0, 0.0, 5e-3 * tick * PERIOD]), tick * PERIOD).truth
+        elastic = elastic_force(wall, truth.tip - start)
+        loads.append(-truth.force[2])
+        rubs.append(float(np.linalg.norm((truth.force - elastic)[:2])))
+        assert truth.force[2] == pytest.approx(elastic[2], abs=2e-5)
+    assert max(loads) > 0.1
+    assert (np.array(rubs) <= friction * np.array(loads) + 2e-5).all()
+    assert (max(rubs) > 1e-3) == (friction > 0.0)
