@@ -207,6 +207,14 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         hits = 100.0 * case["force_by_deflection_in_95"]
         title = f"RMS error of the force from the deflection [N] ({hits:.0f} % in the 95 % interval)"
         yield title, "", "", f"{case['force_by_deflection_rms_error_N']:.4f}", ""
+    if press := case.get("press"):
+        for name, prefix in (("estimated", ""), ("true", "true_")):
+            if f"{prefix}mean_error_N" in press:
+                numbers = f"{press[f'{prefix}mean_error_N']:.4f}", f"{press[f'{prefix}rms_error_N']:.4f}"
+                yield f"error of the force held, {name}: mean, RMS [N]", "", *numbers, ""
+    if "rms_relative_error" in (palpation := case.get("palpation", {})):
+        errors = f"{100.0 * palpation['rms_relative_error']:.1f}", f"{100.0 * palpation['max_relative_error']:.1f}"
+        yield "error of the stiffness: RMS, largest [%]", "", *errors, ""
     for edge, margin in case.get("smallest", {}).items():
         yield f"smallest {edge.replace('_', ' ')}", "", "", f"{margin:.3f}", ""
     if "best_possible_mm" in case:

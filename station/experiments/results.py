@@ -10,10 +10,12 @@ from scipy.optimize import least_squares
 from core.robot.limits import TubeOrder
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
-from station.config.motions import StepMotion
+from station.config.loads import Obstacle
+from station.config.motions import PressMotion, StepMotion
 from station.control.telemetry import Channels
 from station.experiments.case_summary import load_windows, model_note, window_name
 from station.experiments.runner import Recording
+from station.recording.press_outcome import press_outcome
 from station.recording.run_outcome import (
     desired,
     errors,
@@ -107,8 +109,11 @@ def summarise(recording: Recording) -> dict[str, Any]:
             summary["warnings"] = [*summary.get("warnings", ()), warning]
     summary["counted_from_s"] = first
     senses = recording.case.controller.senses
+    motion, load = recording.case.file.trajectory, recording.case.file.load
     if tracked or senses:
         summary |= largest_force(channels.of(counted, "force_filtered"))
+        if isinstance(motion, PressMotion):
+            summary |= press_outcome(of, motion, load if isinstance(load, Obstacle) else None, 0.0, first)
     times, frame_times = of("time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
     def at_frames(group: str, *, averaged: bool = False) -> Array:
@@ -134,8 +139,8 @@ def summarise(recording: Recording) -> dict[str, Any]:
         for group in ("force", "force_filtered") if senses else ():
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
-    if isinstance(recording.case.file.trajectory, StepMotion):
-        summary["step"] = _step(recording, "tip_true" if known else "tip_observed", recording.case.file.trajectory)
+    if isinstance(motion, StepMotion):
+        summary["step"] = _step(recording, "tip_true" if known else "tip_observed", motion)
     if tracked:
         summary["model_error_mm"] = {
             name: rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())

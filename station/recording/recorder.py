@@ -28,6 +28,7 @@ from station.control.task import Phase
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
 from station.recording.foxglove import WARNING, RecordedEvent
+from station.recording.press_outcome import obstacle_of, press_of, press_outcome
 from station.recording.read import MAX_SUMMARY_ROWS, read_case
 from station.recording.recover import recover
 from station.recording.run_folder import LIVE_CASE, RunFolder
@@ -291,15 +292,19 @@ class _Recording:
             self._folder.finish(self._summary(RunOutcome.INCOMPLETE, problem, {}))
 
     def _errors(self) -> Mapping[str, Any]:
-        """Return the tip errors of the run; empty if its motion did not settle or has no path of the tip."""
+        """Return the errors of tip and force; empty if the motion did not settle or has no path of the tip."""
         start, first = self._run_rows.motion_start, self._request.counted_from
         if start is None:
             return {}
         motion = {"motion_start": start, "motion_s": round(self._last - start + PERIOD_S, 3), "counted_from_s": first}
-        if self._request.metadata.get("settings", {}).get("trajectory", {}).get("kind") == JOINT_SWEEP:
+        settings = self._request.metadata.get("settings", {})
+        if settings.get("trajectory", {}).get("kind") == JOINT_SWEEP:
             return motion
-        recording = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS)
-        return {**motion, **motion_errors(recording.of, start, first)}
+        of = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS).of
+        found = {**motion, **motion_errors(of, start, first)}
+        if "force_max_N" in found and (press := press_of(settings)) is not None:
+            found |= press_outcome(of, press, obstacle_of(settings), start, first)
+        return found
 
     def _summary(self, label: RunOutcome, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         metadata = self._request.metadata
