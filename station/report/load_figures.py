@@ -51,6 +51,8 @@ BEST_POSSIBLE_STYLE = style.LineStyle("best possible", style.GREEN, (0.0, (5.0, 
 STEP_POSITION = 3.0
 #: Errors below this value are drawn at this value [mm], because the axis is logarithmic and has no zero.
 MIN_DRAWN_ERROR_MM = 0.01
+#: Largest number of points of the drawn band of the force's standard deviations.
+BAND_POINTS = 2 * style.LINE_BINS
 SIDES = ("applied", "removed")
 
 
@@ -72,8 +74,10 @@ def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: fl
     style.draw_components(axes, time, case.of("force")[shown], style.SAMPLES)
     if uncertain:
         spread = 2.0 * np.sqrt(case.of("force_variance")[shown])
-        for each, low, high in zip(axes, (filtered - spread).T, (filtered + spread).T, strict=True):
-            each.fill_between(time, low, high, color=style.FILTERED.colour, alpha=0.25, linewidth=0.0)
+        nth = slice(None, None, max(1, len(time) // BAND_POINTS))
+        low, high = (filtered - spread)[nth], (filtered + spread)[nth]
+        for each, lower, upper in zip(axes, low.T, high.T, strict=True):
+            each.fill_between(time[nth], lower, upper, color=style.FILTERED.colour, alpha=0.25, linewidth=0.0)
     style.draw_components(axes, time, filtered, style.FILTERED)
     if case.truth_known:
         dashed = style.TRUE._replace(dash=(0.0, (4.0, 2.0)), width=1.0)

@@ -4,7 +4,16 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from station.recording.history import SWEEP_FILE
-from station.report import camera_figures, document, facts, load_figures, loop_figures, sweep, tip_figures
+from station.report import (
+    camera_figures,
+    document,
+    facts,
+    force_figures,
+    load_figures,
+    loop_figures,
+    sweep,
+    tip_figures,
+)
 from station.report.document import ReportFigure
 from station.report.run import RecordedRun, ReportError, read_run
 
@@ -50,7 +59,7 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
 def figures(run: RecordedRun) -> Iterator[ReportFigure]:
     """Yield all figures of a run's report."""
     chosen = FIGURES_BY_EXPERIMENT.get(run.experiment, (tip_figures.overview,))
-    for draw in (*chosen, loop_figures.timing):
+    for draw in (force_figures.presses, *chosen, loop_figures.timing):
         yield from draw(run)
 
 

@@ -70,6 +70,11 @@ class RecordedCase:
         return [part[1] for part in parts if len(part) == 2 and part[0] == group]
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of the case: those in the recording, or in its absence those of the experiment's file."""
+        return self.metadata.get("settings") or self.file
+
+    @property
     def title_suffix(self) -> str:
         """Name of the case for a title; empty for a free motion, which has only one case."""
         named = str(self.metadata.get("case", "" if self.name == LIVE_CASE else self.name))
