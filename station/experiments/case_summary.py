@@ -138,7 +138,8 @@ def _part(key: str, value: Any, unit: str) -> str:
     if value is True:
         return _words(key)
     if isinstance(value, tuple):
-        return f"along {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"
+        word = "across" if key == "across" else "along"
+        return f"{word} {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"
     return f"{_words(key)} {format_quantity(value, unit) if isinstance(value, float | int) else _words(str(value))}"
 
 
