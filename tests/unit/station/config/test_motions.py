@@ -9,7 +9,7 @@ from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, Unreachable
 from core.model.statics import Statics
 from station.config.controllers import ControllerFile
-from station.config.motions import JointSweepMotion, Motion, Orders
+from station.config.motions import JointSweepMotion, Motion, Orders, PalpateMotion
 from station.config.strict import ConfigError, Strict, check
 
 
@@ -224,3 +224,16 @@ def test_infeasible_motion_is_refused_with_kind_time_and_limit(orders, paper):
         orders(kind="circle", radius=0.015, period=12.0).check(controller, start, 60.0)
     with pytest.raises(CtrError, match="inner_translation"):
         orders(kind="joint_sweep", joint="inner_translation", speed=0.01, distance=0.2).check(controller, start, 60.0)
+
+
+def test_palpation_visits_a_grid_around_the_start_tip_and_turns_at_the_end_of_each_row():
+    motion = PalpateMotion(
+        direction=(2.0, 0.0, 0.0), across=(1.0, 3.0, 0.0), columns=3, rows=2, spacing=0.002, light=0.05, force=0.2
+    )
+    places = motion.trajectory().places
+
+    # The rows are along y, from z = -1 mm to z = 1 mm.
+    expected = [(0, -2, -1), (0, 0, -1), (0, 2, -1), (0, 2, 1), (0, 0, 1), (0, -2, 1)]
+    assert np.array(places) == pytest.approx(1e-3 * np.array(expected))
+    assert motion.grid == ((0, 0), (0, 1), (0, 2), (1, 2), (1, 1), (1, 0))
+    assert motion.trajectory().firm.direction == pytest.approx([1.0, 0.0, 0.0])
