@@ -4,11 +4,16 @@ import signal
 
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import bare_page, wait_until_current
+from tests.harness.chromium import SIZE, bare_page, wait_until_current
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
+SHORT = {"trajectory": {"kind": "hold"}, "duration": 0.5}
+#: The browser itself is busy, as with drawing the scene without a graphics card: each timer is late by 0.6 s.
+BUSY = """() => {
+    window.busy = setInterval(() => { const end = performance.now() + 600; while (performance.now() < end); }, 10);
+}"""
 
 
 def test_stop_button_works_while_the_scene_is_broken(page: Page, station: Served) -> None:
@@ -66,3 +71,45 @@ def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser:
         expect(page.locator("#act button:enabled")).to_have_count(0)
         page.locator("#stop").click()
         page.locator("#alarm", has_text="Use the emergency stop").wait_for()
+
+
+def test_nothing_looks_live_or_usable_while_the_station_does_not_answer(page: Page, station: Served) -> None:
+    assert station.post("/api/start", SHORT).status_code == 202
+    again = page.locator("#ended").get_by_role("button", name="Run again")
+    again.wait_for()
+    station.rest.delete("/api/operator")
+    for width, height in ((1440, 900), (390, 844)):
+        page.set_viewport_size({"width": width, "height": height})
+        station.ready()
+        wait_until_current(page)
+        station.process.send_signal(signal.SIGSTOP)
+        try:
+            page.locator("#state", has_text="NO ANSWER").wait_for()
+            page.locator("#silence", has_text="The station does not answer").wait_for()
+            assert set(page.locator("#strip > :not([hidden]) output").all_text_contents()) == {"–"}
+            assert page.locator("#lights .light:not([data-severity='-1'])").count() == 0
+            assert page.locator("#loop").text_content() == "500 Hz, – missed"
+            expect(again).to_be_disabled()
+            expect(page.locator("#operator-act")).to_be_disabled()
+            expect(page.locator("#act button:enabled")).to_have_count(0)
+            colours = "(state) => [getComputedStyle(state).color, getComputedStyle(silence).backgroundColor]"
+            state, alarm = page.locator("#state").evaluate(colours)
+            assert state == alarm  # not the weaker grey of old values
+        finally:
+            station.process.send_signal(signal.SIGCONT)
+        page.locator("#silence").wait_for(state="hidden")
+        expect(page.locator("#operator-act")).to_be_enabled()
+    page.set_viewport_size(SIZE)
+
+
+def test_busy_browser_removes_the_report_of_silence_together_with_the_state(page: Page, station: Served) -> None:
+    station.process.send_signal(signal.SIGSTOP)
+    try:
+        page.locator("#state", has_text="NO ANSWER").wait_for()
+        page.evaluate(BUSY)
+    finally:
+        station.process.send_signal(signal.SIGCONT)
+    try:
+        page.wait_for_function("() => state.textContent !== 'NO ANSWER' && silence.hidden && age.hidden")
+    finally:
+        page.evaluate("clearInterval(window.busy)")

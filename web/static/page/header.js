@@ -1,5 +1,5 @@
 // The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
-import { $, button, clock, confirm, dataAge, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText, LOST_AFTER_S, SILENT_AFTER_S } from "./station.js";
+import { $, button, clock, confirm, dataAge, isSilent, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText } from "./station.js";
 import { poseText } from "./form.js";
 import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
@@ -158,23 +158,15 @@ $("mind").addEventListener("click", () => openTab("faults"));
 
 // ---- silence: from one second on a chip with the age of the data, a banner, and no colour that looks alive
 
-const isSilent = () => dataAge() > SILENT_AFTER_S;
 let simulated = false; // whether the last status was one of simulated devices
-let shownAt = performance.now();
+let known = null; // last status of a station that answers
 
+/** Show or remove what reports the age of the data. State, values and buttons change at the same moment: see publish(). */
 function showSilence() {
-  // After the browser itself was busy, for example with the first drawing of the scene, answers are waiting to be read.
-  const now = performance.now(), wasBusy = now - shownAt > 500;
-  shownAt = now;
-  if (wasBusy) return;
-  const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = age > LOST_AFTER_S;
-  $("age").hidden = !isSilent();
+  const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = latest() === null;
+  $("age").hidden = $("silence").hidden = !isSilent();
+  if (!isSilent()) return;
   setText($("age"), text);
-  if (document.body.classList.contains("silent") !== isSilent()) {
-    document.body.classList.toggle("silent", isSilent());
-    if (latest() !== null) showUsable(latest());
-  }
-  $("silence").hidden = !isSilent();
   $("silence").dataset.lost = lost;
   const emergency = simulated ? "" : " To stop the robot now, press the emergency stop of the rig.";
   setText($("silence"), lost
@@ -183,11 +175,13 @@ function showSilence() {
 }
 setInterval(showSilence, 100);
 
-/** Show what a silent station does not offer: the lights of its devices, and the buttons of the next action. */
+/** Show what a silent station does not offer: the lights of its devices, the loop's timing, and buttons that need answers. */
 function showUsable(status) {
   showAction(status);
   showLights(status.devices);
   $("reset").disabled = !mayCommand(status) || isSilent();
+  $("operator-act").disabled = isSilent();
+  setText($("loop"), `500 Hz, ${isSilent() ? "–" : status.loop.missed} missed`);
 }
 
 // ---- the state and its message; a latched state has a bar of its own, so that its message is shown completely
@@ -211,8 +205,11 @@ const whoResets = ({ name, role }) => (role === "viewer" ? "an operator can rese
 
 onStatus((status) => {
   const state = status === null ? "NO ANSWER" : status.state;
+  known = status ?? known;
   setText($("state"), state);
   $("state").dataset.state = state;
+  showSilence();
+  if (known !== null) showUsable(known);
   showLatched(state, status?.details ?? "");
   if (status === null) {
     setText($("says"), "what the page shows is old");
@@ -228,11 +225,9 @@ onStatus((status) => {
   setText($("next"), state in LATCHED && !mayCommand(status) ? whoResets(status.operator) : status.next);
   if (!(state in LATCHED)) $("message").title = [status.message, status.next].filter((text) => text !== "").join(": ");
   $("reset").hidden = !(state in LATCHED);
-  showUsable(status);
   showRun(status);
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
-  setText($("loop"), `500 Hz, ${missed} missed`);
   $("loop").title = `Control loop: it should run 500 times a second. A period is missed if this computer was too busy; single ones do no harm.\n${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
     + ` p99.9 ${late.p99_9} µs, max ${late.max} µs; work p50 ${work.p50} µs, p99 ${work.p99} µs`;
 });

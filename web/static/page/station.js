@@ -204,14 +204,14 @@ export function confirm(title, action, ...content) {
 // ---- status of the station: polled several times a second, and marked as stale if it is too old
 
 // The timeout is long, because a late answer is useful, too. While the page waits, it marks its data as stale.
-const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000;
+const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, BUSY_MS = 500; // a check that is later than BUSY_MS finds a busy browser
 /** Age of the status [s] from which the page sends no command but STOP, reports the silence, and considers the station lost. */
 export const STALE_AFTER_S = 0.48, SILENT_AFTER_S = 1, LOST_AFTER_S = 4;
 const FRESH_WITHIN_S = 3; // a press waits at most this long for current data
 const listeners = [];
-let status = null, receivedAt = 0, pending = null, wasStale = null;
+let status = null, receivedAt = 0, pending = null, wasStale = null, silent = false;
 
-/** Call `listener(status, stale)` with each new status, and when the status becomes stale. */
+/** Call `listener(status, stale)` with each new status, and when the status becomes stale, silent or lost. */
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
@@ -222,9 +222,14 @@ const valuesAge = () => (status === null || WITHOUT_VALUES.includes(status.state
 /** Age of the robot's data [s]: the time since the last status, and the age that its values had then. */
 export const dataAge = () => (performance.now() - receivedAt) / 1000 + valuesAge();
 
+/** Return whether the data are so old that nothing on the page may look live: one answer for the whole page. */
+export const isSilent = () => silent;
+
 function publish() {
+  silent = dataAge() > SILENT_AFTER_S;
   wasStale = status === null || (status.stale && !WITHOUT_VALUES.includes(status.state)) || dataAge() > STALE_AFTER_S;
   document.body.classList.toggle("stale", wasStale);
+  document.body.classList.toggle("silent", silent);
   for (const listener of listeners) listener(status, wasStale);
   for (const [box, isCurrent] of lasting) if (status !== null && !(box.isConnected && isCurrent(status))) { box.remove(); lasting.delete(box); }
 }
@@ -272,9 +277,17 @@ export function benchNote(devices) {
 
 export function start() {
   setInterval(pollStatus, POLL_INTERVAL_MS);
-  // Stale data must be marked even while a request is pending.
+  // Old data must be marked even while a request is pending.
+  let checkedAt = performance.now(), waited = false;
   setInterval(() => {
-    if (dataAge() > LOST_AFTER_S && status !== null) { status = null; publish(); } else if (dataAge() > STALE_AFTER_S && !wasStale) publish();
+    // After the browser itself was busy, answers are waiting to be read: one check waits for them, the next one does not.
+    const now = performance.now();
+    waited = !waited && now - checkedAt > BUSY_MS;
+    checkedAt = now;
+    if (waited) return;
+    const age = dataAge(), lost = age > LOST_AFTER_S && status !== null;
+    if (lost) status = null;
+    if (lost || (age > STALE_AFTER_S && !wasStale) || age > SILENT_AFTER_S !== silent) publish();
   }, 50);
   pollStatus();
 }

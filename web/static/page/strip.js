@@ -1,13 +1,12 @@
 // Values that are always visible: error, force, deflection and time left; after a run, its result.
-import { $, button, clock, dataAge, make, onStatus, request, setText, Refused, SILENT_AFTER_S } from "./station.js";
+import { $, button, clock, isSilent, make, onStatus, request, setText, Refused, SILENT_AFTER_S } from "./station.js";
 import { directionError, error, follows, latestSample } from "./telemetry.js";
 import { countedFrom, errorSummary, ended } from "../runs/result.js";
 
 const REFRESH_INTERVAL_MS = 200; // ms
 const length = (vector, scale = 1) => (vector ? scale * Math.hypot(...vector) : null);
 const BEFORE = { approaching: "to start", settling: "at rest" };
-let status = null, stale = true;
-const isSilent = () => dataAge() > SILENT_AFTER_S;
+let status = null, stale = true, silent = false;
 
 let truth = false; // whether the newest sample contained the true tip
 const reference = (sample) => {
@@ -54,6 +53,7 @@ function show() {
 // ---- the end of a run
 
 let reported = null; // id of the run whose end was reported or must not be reported
+const again = button("Run again", null, { title: "Start a run with the same settings" });
 
 async function reportEnd(run) {
   reported = run.id;
@@ -67,16 +67,18 @@ async function reportEnd(run) {
   if (reported !== run.id) return;
   const [largest, rms] = errorSummary(result), force = Math.max(...Object.values(result.outcomes).map((one) => one.force ?? NaN));
   const numbers = largest === "–" ? ended(result) : `${ended(result)} · error at most ${largest}, RMS ${rms} mm${countedFrom(result)}${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
+  again.onclick = async () => (await import("../run/run.js")).runAgain(run.id);
   $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: result.label }, numbers)),
     button("Result", async () => (await import("../runs/runs.js")).showRun(run.id)),
-    button("Run again", async () => (await import("../run/run.js")).runAgain(run.id), { title: "Start a run with the same settings" }),
+    again,
     button("×", () => { $("ended").hidden = true; }, { "aria-label": "close" }));
   $("ended").hidden = false;
 }
 
 onStatus((now, old) => {
   status = now;
-  if (stale !== old) { stale = old; show(); }
+  if (stale !== old || silent !== isSilent()) { stale = old; silent = isSilent(); show(); }
+  again.disabled = silent;
   const run = now?.run;
   if (!run) return;
   if (now.phase === "jogging") return; // the last result stays: the panel must not move under a pointer that holds a button

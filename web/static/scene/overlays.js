@@ -1,5 +1,5 @@
 // Overlays of the scene: buttons of the views, a foldable legend, and the close-up of the tip.
-import { $, button, client, make, request, setText, stream } from "../page/station.js";
+import { $, button, client, isSilent, make, onStatus, request, setText, stream } from "../page/station.js";
 import { cleared } from "../page/chart.js";
 import { openTab } from "../page/tabs.js";
 
@@ -43,7 +43,8 @@ const fold = button("▾", () => foldCloseUp(box.dataset.folded !== "true"));
 const box = make("section", { id: "tip", "aria-label": "close-up of the tip" },
   make("header", {}, make("b", {}, "Tip"), planes, button("−", () => zoom(1), { "aria-label": "show more around the tip", "data-zoom": "" }),
     button("+", () => zoom(-1), { "aria-label": "enlarge the tip", "data-zoom": "" }), fold), canvas, caption);
-const modelText = make("span", {}), modelError = make("div", { id: "model-error", hidden: true }, modelText, button("Calibrate", () => openTab("calibrate")));
+const modelText = make("span", {}), calibrate = button("Calibrate", () => openTab("calibrate"));
+const modelError = make("div", { id: "model-error", hidden: true }, modelText, calibrate);
 $("view").append(box, views, legendBox, modelError);
 foldCloseUp(innerWidth <= 600); // on a phone it would cover the robot's tip
 
@@ -91,8 +92,9 @@ function describe({ measured, desired, contact, force }) {
 
 /** Show the distance between the model's tip and the measured tip while the scene draws the model's end. */
 function showModelError() {
-  modelError.hidden = picture.model_end.length === 0;
-  if (!modelError.hidden) setText(modelText, `model ${picture.model_error.toFixed(1)} mm from tracker: not calibrated`);
+  modelError.hidden = picture === null || picture.model_end.length === 0;
+  calibrate.disabled = isSilent();
+  if (!modelError.hidden) setText(modelText, `model ${isSilent() ? "–" : picture.model_error.toFixed(1)} mm from tracker: not calibrated`);
 }
 
 /** Move the camera of this page's scene to a view. */
@@ -103,6 +105,7 @@ const setView = stream(`scene/tip?rate=${RATE_HZ}&client=${client}`, (message) =
   show();
 });
 setInterval(() => { if (performance.now() - receivedAt > SILENT_AFTER_MS) show(); }, 1000);
+onStatus(showModelError);
 addEventListener("resize", show);
 document.addEventListener("visibilitychange", show);
 
