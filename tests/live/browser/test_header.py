@@ -9,6 +9,7 @@ from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
+DASH = "\N{EN DASH}"  # where the page has no current value
 SHORT = {"trajectory": {"kind": "hold"}, "duration": 0.5}
 #: The browser itself is busy, as with drawing the scene without a graphics card: each timer is late by 0.6 s.
 BUSY = """() => {
@@ -86,9 +87,9 @@ def test_nothing_looks_live_or_usable_while_the_station_does_not_answer(page: Pa
         try:
             page.locator("#state", has_text="NO ANSWER").wait_for()
             page.locator("#silence", has_text="The station does not answer").wait_for()
-            assert set(page.locator("#strip > :not([hidden]) output").all_text_contents()) == {"–"}
+            assert set(page.locator("#strip > :not([hidden]) output").all_text_contents()) == {DASH}
             assert page.locator("#lights .light:not([data-severity='-1'])").count() == 0
-            assert page.locator("#loop").text_content() == "500 Hz, – missed"
+            assert page.locator("#loop").text_content() == f"500 Hz, {DASH} missed"
             expect(again).to_be_disabled()
             expect(page.locator("#operator-act")).to_be_disabled()
             expect(page.locator("#act button:enabled")).to_have_count(0)
