@@ -58,7 +58,12 @@ class Reader(NamedTuple):
 
 
 #: What the robot does in a latched state. After a FAULT the cause itself reports what is known about the axes.
-_CONSEQUENCES = {State.HOLD: "The robot holds its position, motors on", State.STOPPED: "Every axis is at rest"}
+_CONSEQUENCES = {
+    State.HOLD: "The robot keeps its position, and the motors are on.",
+    State.STOPPED: "Every axis is at rest.",
+}
+#: A reset sends no velocity: the station becomes READY, or it connects devices again (`ControlLoop.reset`).
+_RESET = "press Reset to make the station ready. Reset moves nothing."
 _HOMING_KEYS = {"joint", "number", "of", "gone", "way", "exact", "unit", "left_s"}
 
 
@@ -102,9 +107,11 @@ def _latched(status: StationStatus, reader: Reader) -> StateMessage:
         first = [] if reader.simulated else ["check the rig"]
         if status.state is State.FAULT:
             first.insert(0, "remove the cause")
-        return StateMessage(text, f"{' and '.join(first)}, then press Reset" if first else "press Reset", "reset")
-    who = "an operator" if reader.operator is None else f"'{reader.operator}'"
-    return StateMessage(text, f"{who} can reset the station{'' if reader.views_only else ', or take over'}", "reset")
+        step = f"{' and '.join(first)}, then {_RESET}" if first else _RESET
+        return StateMessage(text, f"{step[0].upper()}{step[1:]}", "reset")
+    who = "An operator" if reader.operator is None else f"'{reader.operator}'"
+    step = "can reset the station." if reader.views_only else "can reset the station. Take over to reset it yourself."
+    return StateMessage(text, f"{who} {step}", "reset")
 
 
 def _homing(status: StationStatus) -> str:

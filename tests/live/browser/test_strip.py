@@ -61,3 +61,13 @@ def test_value_strip_hides_the_force_while_its_sensor_is_silent(page: Page, stat
     station.post("/api/faults", {"faults": [{"kind": "mute", "device": "inner"}]})
     page.wait_for_function(EMPTY, arg=FORCE)
     page.wait_for_function(EMPTY, arg=DEFLECTION)
+
+
+def test_value_strip_hides_the_deflection_while_the_tip_is_not_measured(page: Page, station: Served) -> None:
+    page.wait_for_function(NUMBER, arg=DEFLECTION)
+    station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
+    page.locator("#state", has_text="HOLD").wait_for()
+    page.wait_for_function(EMPTY, arg=DEFLECTION)
+    page.wait_for_function(NUMBER, arg=FORCE)  # the force is measured still
+    page.locator("#says", has_text="the motors are on.").wait_for()
+    page.locator("#next", has_text="Press Reset to make the station ready. Reset moves nothing.").wait_for()

@@ -50,7 +50,7 @@ export function actionButton(status, action = status.action) {
 export function showReason(element, status, ready = status.action === "start") {
   const may = mayCommand(status);
   const reason = status.operator.role === "viewer" ? "viewers cannot start anything" : !may ? `'${status.operator.name}' is operator`
-    : ready ? "" : status.state === "READY" ? status.message : `not while ${status.state}; ${status.next || "wait for the end or press STOP"}`;
+    : ready ? "" : status.state === "READY" ? status.message : `not while ${status.state}: ${status.next || "wait for the end or press STOP"}`;
   replaceChanged(element, [reason, status.action, may], () => (reason === "" || !may ? [reason] : [reason, " ", actionButton(status)]));
 }
 $("reset").addEventListener("click", reset);
@@ -201,7 +201,7 @@ function showLatched(state, details) {
 }
 
 /** Next step of a user who is not operator, in a state that lasts until a reset. */
-const whoResets = ({ name, role }) => (role === "viewer" ? "an operator can reset the station" : `only operator '${name}' can reset the station; take over to reset it yourself`);
+const whoResets = ({ name, role }) => (role === "viewer" ? "An operator can reset the station." : `Only operator '${name}' can reset the station. Take over to reset it yourself.`);
 
 onStatus((status) => {
   const state = status === null ? "NO ANSWER" : status.state;

@@ -24,13 +24,15 @@ const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off t
 const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker ${size.toFixed(2)}` : ""; };
 /** Whether the bench has no force sensors, so that the force is estimated from the deflection of the tip. */
 const byDeflection = (sample) => sample?.trouble?.[2] === -1 && sample.force_filtered !== null;
+/** Whether the bench has a tracker that does not measure the tip now: a deflection would look as if it were measured. */
+const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured;
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Quantity with a colour on the page, name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
   { quantity: "error", name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
   { quantity: "force", name: (sample) => (byDeflection(sample) ? "force, est." : "force"), unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
-  { name: () => "deflection", unit: "mm", value: (s) => s && length(s.deflection_filtered, 1e3), text: fixed(1), none: "needs force sensors that measure" },
+  { name: () => "deflection", unit: "mm", value: (s) => (s && !isTipLost(s) ? length(s.deflection_filtered, 1e3) : null), text: fixed(1), none: "needs a measured tip and force sensors that measure" },
   { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running" },
 ].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output") }));
 

@@ -13,6 +13,7 @@ from station.devices.interfaces import Condition
 from station.service.status import StationStatus
 from web.api.status import Reader, state_message
 
+RESET = "press Reset to make the station ready. Reset moves nothing."
 NO_TIMING = Timing(0, 0, {}, {}, "")
 
 
@@ -41,7 +42,7 @@ def test_a_latched_state_shows_its_cause_and_reset_as_the_next_action(state: Sta
 def test_a_hold_states_that_the_robot_keeps_its_position() -> None:
     cause = "the tracker lost the coil for 0.25 s"
     assert state_message(status(State.HOLD, cause=cause)).message == (
-        "The tracker lost the coil for 0.25 s. The robot holds its position, motors on"
+        "The tracker lost the coil for 0.25 s. The robot keeps its position, and the motors are on."
     )
 
 
@@ -49,25 +50,25 @@ def test_a_stop_is_reported_to_its_sender_as_own_stop_and_to_others_with_the_nam
     stopped = status(State.STOPPED, cause="stopped by 'Anna' (10.0.0.7)")
 
     own = state_message(stopped, Reader(own_stop="stopped by 'Anna' (10.0.0.7)"))
-    assert own.message == "You pressed STOP. Every axis is at rest"
-    assert state_message(stopped).message == "Stopped by 'Anna' (10.0.0.7). Every axis is at rest"
+    assert own.message == "You pressed STOP. Every axis is at rest."
+    assert state_message(stopped).message == "Stopped by 'Anna' (10.0.0.7). Every axis is at rest."
 
 
 @pytest.mark.parametrize("state", [State.HOLD, State.STOPPED, State.FAULT])
 @pytest.mark.parametrize(
     ("reader", "step"),
     [
-        (Reader(), "check the rig, then press Reset"),
-        (Reader(simulated=True), "press Reset"),
-        (Reader(resets=False, operator="Anna"), "'Anna' can reset the station, or take over"),
-        (Reader(resets=False, operator="Anna", views_only=True), "'Anna' can reset the station"),
-        (Reader(resets=False, views_only=True), "an operator can reset the station"),
+        (Reader(), f"Check the rig, then {RESET}"),
+        (Reader(simulated=True), f"P{RESET[1:]}"),
+        (Reader(resets=False, operator="Anna"), "'Anna' can reset the station. Take over to reset it yourself."),
+        (Reader(resets=False, operator="Anna", views_only=True), "'Anna' can reset the station."),
+        (Reader(resets=False, views_only=True), "An operator can reset the station."),
     ],
 )
 def test_next_step_of_a_latched_state_is_possible_for_its_reader(state: State, reader: Reader, step: str) -> None:
-    remove = "remove the cause" if state is State.FAULT and reader.resets else ""
-    expected = f"{remove}{', then ' if reader.simulated else ' and '}{step}" if remove else step
-    assert state_message(status(state, cause="the tracker is gone"), reader).next == expected
+    if state is State.FAULT and reader.resets:
+        step = f"Remove the cause{', then ' if reader.simulated else ' and '}{step[0].lower()}{step[1:]}"
+    assert state_message(status(state, cause="the tracker is gone"), reader).next == step
 
 
 @pytest.mark.parametrize("state", [State.READY, State.RUNNING, State.HOMING])
