@@ -1,12 +1,13 @@
 """Messages of the page: complete texts, a button for the next action, and a report of lost control."""
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import SIZE, open_tab
 from tests.harness.serving import Served
 
 
@@ -45,6 +46,34 @@ def test_long_fault_message_is_shown_completely(page: Page, says: Callable[..., 
         expect(page.locator("#tab-bench")).to_be_visible()
     finally:
         page.set_viewport_size({"width": 1280, "height": 720})
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "hint"),
+    [
+        (1280, 720, "choose an experiment on the right"),
+        (390, 844, "choose an experiment below"),
+        (720, 450, "choose an experiment below"),  # 200 % zoom
+    ],
+)
+def test_hint_of_a_ready_station_names_what_is_visible_and_is_not_cut(
+    page: Page, width: int, height: int, hint: str
+) -> None:
+    page.set_viewport_size({"width": width, "height": height})
+    try:
+        open_tab(page, "start")
+        message = page.locator("#message")
+        expect(page.locator("#next")).to_have_text(hint)
+        assert message.evaluate("b => b.scrollWidth <= b.clientWidth && b.scrollHeight <= b.clientHeight + 1")
+        page.locator(".card", has_text="Keep the tip where it is").click()
+        expect(page.locator("#next")).to_have_text("press Start motion")
+        expect(page.get_by_role("button", name="Start motion")).to_be_in_viewport()
+        page.get_by_role("button", name="all motions").click()
+        open_tab(page, "plots")
+        expect(message).to_have_text(re.compile("tab Run$" if width > 900 else "^nothing moves$"))
+        expect(page.locator("#act").get_by_role("button", name="Choose a motion")).to_be_visible()
+    finally:
+        page.set_viewport_size(SIZE)
 
 
 def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Page, says: Callable[..., None]) -> None:

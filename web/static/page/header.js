@@ -1,6 +1,7 @@
 // The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
 import { $, button, clock, confirm, dataAge, isSilent, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText } from "./station.js";
 import { poseText } from "./form.js";
+import { small } from "./layout.js";
 import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
 
@@ -203,6 +204,14 @@ function showLatched(state, details) {
 /** Next step of a user who is not operator, in a state that lasts until a reset. */
 const whoResets = ({ name, role }) => (role === "viewer" ? "An operator can reset the station." : `Only operator '${name}' can reset the station. Take over to reset it yourself.`);
 
+/** Next step while a motion can start: it names what is visible. On a small screen the list is below the header. */
+function startHint() {
+  const submit = $("start").querySelector("[type=submit]");
+  if (!isOpen("start")) return small.matches ? "" : "choose an experiment in the tab Run"; // the button 'Choose a motion' is visible
+  if (submit === null) return small.matches ? "choose an experiment below" : "choose an experiment on the right";
+  return submit.disabled ? "" : `press ${submit.textContent}`;
+}
+
 onStatus((status) => {
   const state = status === null ? "NO ANSWER" : status.state;
   known = status ?? known;
@@ -212,7 +221,7 @@ onStatus((status) => {
   if (known !== null) showUsable(known);
   showLatched(state, status?.details ?? "");
   if (status === null) {
-    setText($("says"), "what the page shows is old");
+    setText($("says"), small.matches ? "" : "what the page shows is old");
     setText($("next"), "start the station, or wait for its answer");
     return;
   }
@@ -221,9 +230,10 @@ onStatus((status) => {
   setText($("badge"), simulated ? "SIMULATED" : "REAL BENCH");
   $("badge").dataset.simulated = simulated;
   $("badge").title = status.lab;
-  setText($("says"), status.message);
-  setText($("next"), state in LATCHED && !mayCommand(status) ? whoResets(status.operator) : status.next);
-  if (!(state in LATCHED)) $("message").title = [status.message, status.next].filter((text) => text !== "").join(": ");
+  const next = state in LATCHED && !mayCommand(status) ? whoResets(status.operator) : status.action === "start" ? startHint() : status.next;
+  setText($("says"), status.action === "start" && next !== "" && small.matches ? "" : status.message); // a small screen has room for the next step only
+  setText($("next"), next);
+  if (!(state in LATCHED)) $("message").title = [status.message, next].filter((text) => text !== "").join(": ");
   $("reset").hidden = !(state in LATCHED);
   showRun(status);
   showWarnings(status);

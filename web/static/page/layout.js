@@ -44,7 +44,9 @@ if (kept > 0) setWidth(kept); else describe();
 
 // ---- small screens: the scene can be folded, and what it shows is in a menu
 
-const small = matchMedia("(max-width: 900px), (max-height: 600px)"), low = matchMedia("(max-height: 600px)");
+/** Whether the controls are below the scene, as on a phone. */
+export const small = matchMedia("(max-width: 900px), (max-height: 600px)");
+const low = matchMedia("(max-height: 600px)");
 
 function fold(folded) {
   document.body.classList.toggle("folded", folded);
