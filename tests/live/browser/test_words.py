@@ -90,7 +90,11 @@ def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Pag
     says(state="OFF", message="no device is spoken to", next="connect the devices", action="connect")
     page.locator("#act").get_by_role("button", name="Connect").wait_for()
     says()
-    page.locator("#act").get_by_role("button", name="Choose a motion").click()
+    choose = page.locator("#act").get_by_role("button", name="Choose a motion")
+    expect(choose).to_have_class("main")
+    open_tab(page, "jog")
+    expect(choose).to_have_class("")  # a jog is what the user came for
+    choose.click()
     expect(page.locator("#start")).to_be_visible()
     page.get_by_role("button", name="all motions").click()
 

@@ -119,7 +119,7 @@ const group = (title, hint, sliders, rows) => make("fieldset", {}, make("legend"
   make("div", { className: "rows" }, ...sliders.flatMap((slider) => slider.elements)), make("div", { className: "jog", style: "margin-top:10px" }, ...rows.flat()));
 
 $("jog").append(
-  make("p", {}, "The robot moves while a button is held, with the pointer or Space."), reason,
+  make("p", {}, `The robot moves while you hold a button${matchMedia("(hover: none)").matches ? "" : " with the mouse or with Space"}.`), reason,
   group("Joints", null, [turning, sliding], rig.joints.map((joint, i) =>
     axisRow(joint.name, rig.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => jointText(joint, status)))),
   group("Tip, world frame", "x points down, along gravity; z points along the tubes when they are straight", [tip], ["x", "y", "z"].map((name, i) =>

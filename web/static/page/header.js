@@ -56,12 +56,16 @@ export function showReason(element, status, ready = status.action === "start") {
 }
 $("reset").addEventListener("click", reset);
 
-/** Show the button of the next action. Reset has a separate button; while the tab Run is open, Home replaces it. */
+/**
+ * Show the button of the next action. Reset has a separate button; while the tab Run is open, Home replaces it. While the
+ * tab Jog is open, another motion is only the second choice.
+ */
 function showAction(status) {
   const action = status.action === "reset" ? "" : status.action === "start" && isOpen("start") ? "home" : status.action;
-  const silent = isSilent();
-  replaceChanged($("act"), [action, action === status.action, mayCommand(status), silent], () => {
+  const silent = isSilent(), second = action === "start" && isOpen("jog");
+  replaceChanged($("act"), [action, action === status.action, mayCommand(status), silent, second], () => {
     const control = actionButton(status, action);
+    if (second) control.className = "";
     if (silent && control !== null) control.disabled = true;
     return [control];
   });
