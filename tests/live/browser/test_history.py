@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.harness.chromium import open_tab
@@ -41,6 +42,22 @@ def test_tags_title_and_star_of_a_run_are_kept_and_found(page: Page, station: Se
     expect(card(page, run).locator(".tag")).to_have_text(["coil 2", "morning"])
     page.get_by_label("search").fill("")
     page.get_by_label("which runs").select_option("")
+
+
+def test_headings_of_the_errors_are_above_their_values(page: Page, station: Served) -> None:
+    run = recorded(station)
+    open_tab(page, "runs")
+    card(page, run).wait_for()
+    for heading, value in zip(
+        page.locator(".run-head span").all()[1:], card(page, run).locator(".number").all(), strict=True
+    ):
+        above, below = heading.bounding_box(), value.bounding_box()
+        assert above is not None
+        assert below is not None
+        assert above["x"] == pytest.approx(below["x"], abs=1.0)
+        assert above["width"] == pytest.approx(below["width"], abs=1.0)
+    for button in ("Compare two", "Delete…"):  # in place before the first tick, and useless without one
+        expect(page.locator("#runs").get_by_role("button", name=button)).to_be_disabled()
 
 
 def test_deleted_run_can_be_restored_by_undo_and_from_the_list(page: Page, station: Served) -> None:

@@ -20,7 +20,7 @@ const ORDERS = {
 const titleOf = (run) => run.title || run.experiment || run.id;
 
 const options = (all) => all.map(([value, text]) => make("option", { value }, text));
-const search = make("input", { type: "text", placeholder: "title, tag, cause or notes", "aria-label": "search", style: "flex:1 1 120px" });
+const search = make("input", { type: "text", placeholder: "search title, tag, cause or notes", "aria-label": "search", style: "flex:1 1 100%" });
 const label = make("select", { "aria-label": "which runs" }, ...options([["", "all"], ["starred", "★ starred"], ...Object.keys(SHAPES).map((one) => [one, outcomeOf({ label: one })]), ["deleted", "deleted"]]));
 const order = make("select", { "aria-label": "order" }, ...options(Object.keys(ORDERS).map((one) => [one, one])));
 const compare = button("Compare two", async () => {
@@ -30,7 +30,7 @@ const compare = button("Compare two", async () => {
   content.replaceChildren(head("all runs", overview), comparison(runs));
 });
 const removeChosen = button("Delete…", () => remove(found.filter((run) => chosen.has(run.id))), { className: "danger" });
-const selection = make("div", { className: "acts", style: "margin:0 0 8px" }, make("span", { className: "dim" }), compare, removeChosen);
+const selection = make("div", { className: "acts", style: "margin:0 0 8px" }, make("span", { className: "small dim" }), compare, removeChosen);
 const list = make("div", { className: "cards" }), content = make("div");
 const chosen = new Set();
 $("runs").append(content);
@@ -52,7 +52,7 @@ async function refresh() {
   }
 }
 
-const HEAD = make("div", { className: "run-head small dim" }, make("span", {}, "|error| [mm]"), make("span", {}, "largest"), make("span", {}, "RMS"));
+const HEAD = make("div", { className: "run-head small dim" }, make("span"), make("span", {}, "largest error [mm]"), make("span", {}, "RMS error [mm]"));
 
 /** Return the rows of all runs; in order of time each day has a heading. */
 function rows(deleted) {
@@ -66,10 +66,9 @@ function rows(deleted) {
 function showSelection() {
   selection.hidden = found.length === 0 || label.value === "deleted";
   selection.firstChild.textContent = chosen.size === 0 ? "Tick two runs to compare them" : `${chosen.size} chosen`;
-  // Invisible buttons keep their space: the first tick must not move the rows under the pointer.
-  for (const act of [compare, removeChosen]) act.style.visibility = chosen.size === 0 ? "hidden" : "";
+  // The buttons are always visible: the first tick must not move the rows under the pointer.
   compare.disabled = chosen.size !== 2;
-  removeChosen.disabled = !mayCommand();
+  removeChosen.disabled = chosen.size === 0 || !mayCommand();
 }
 
 function describe(run) {
@@ -119,7 +118,7 @@ async function remove(runs) {
 
 function overview() {
   shown = "";
-  content.replaceChildren(make("div", { className: "acts", style: "margin:0 0 8px" }, search, label, order), selection, list);
+  content.replaceChildren(make("div", { className: "acts", style: "margin:0 0 8px" }, search, make("label", {}, "show ", label), make("label", {}, "sort by ", order)), selection, list);
   showSelection();
   refresh();
 }
