@@ -172,7 +172,7 @@ function numbers() {
   const joints = shown.others(frame, 4, shown.joints.length);
   id("numbers").innerHTML = "<thead><tr><td></td><td>x</td><td>y</td><td>z</td><td></td></tr></thead><tbody>"
     + tips.map(([name, tip]) => row(`tip, ${name}`, "mm", mm(tip), 2)).join("")
-    + (shown.desired ? row(shown.truth ? "error, true" : "error, measured", "mm", shown.error(frame), 2) : "")
+    + (shown.desired ? row(shown.truth ? "true error" : "tracker error", "mm", shown.error(frame), 2) : "")
     + row("force", "N", shown.others(frame, 1, 3), 3)
     + shown.joints.map(([name, unit], k) => row(name.replaceAll("_", " "), unit === "rad" ? "deg" : "mm",
       [joints[k] * (unit === "rad" ? 180 / Math.PI : 1000)], 2)).join("") + "</tbody>";

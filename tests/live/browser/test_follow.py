@@ -25,7 +25,7 @@ def running() -> Iterator[Served]:
 def test_value_strip_shows_the_distance_to_the_target_and_reports_a_lost_target(page: Page, station: Served) -> None:
     page.locator(".card", has_text="Follow: the tip keeps its offset").click()
     press_until_sent(page, page.get_by_role("button", name="Start experiment").click)
-    page.locator("#strip div", has_text="off target, true").wait_for()
+    page.locator("#strip div", has_text="true error off target").wait_for()
     page.wait_for_function("() => /^[0-9.]+ mm$/.test(document.querySelector('#strip output').textContent)")
     station.rest.post("/api/operator", json={"take_over": True})
     lost = station.post("/api/faults", {"faults": [{"kind": "lose_target", "device": "tracker"}]})

@@ -129,7 +129,7 @@ def test_replay_player_starts_paused_with_reduced_motion_and_labels_its_contents
     for name in ("inner tube", "outer tube", "desired tip", "measured tip", "true tip", "force"):
         assert name in legend
     numbers = at_start.locator("#numbers").inner_text()
-    for name in ("tip, measured", "error, true", "force", "inner translation", "mm", "deg", "N"):
+    for name in ("tip, measured", "true error", "force", "inner translation", "mm", "deg", "N"):
         assert name in numbers
     expect(at_start.locator("#problem")).to_be_hidden()
 

@@ -28,8 +28,15 @@ def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page
     for cell in (ERROR, FORCE, DEFLECTION):
         page.wait_for_function(NUMBER, arg=cell)
     page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
+    name = page.locator("#strip span").first
+    expect(name).to_have_text(re.compile(r"^true error · tracker\serror\s[0-9.]+\smm$"))
+    assert name.evaluate("name => name.scrollWidth <= name.clientWidth")
+    expect(page.locator("#tip p")).to_have_text(re.compile(r"^tracker error [0-9.]+ mm$"))
+    expect(page.locator("#now .chart-head").first).to_have_text(re.compile(r"Error \[mm\]tracker error .*true error "))
     station.post("/api/stop")
-    page.locator("#ended", has_text=re.compile("■ stopped by .* · error at most")).wait_for()
+    page.locator(
+        "#ended", has_text=re.compile(r"■ stopped by .* · true error at most [0-9.]+\smm, RMS [0-9.]+\smm")
+    ).wait_for()
     page.wait_for_function(EMPTY, arg=ERROR)
     page.locator("#ended").get_by_role("button", name="Result").click()
     page.locator("#runs .result", has_text="largest").wait_for()

@@ -1,7 +1,7 @@
 // Values that are always visible: error, force, deflection and time left; after a run, its result.
 import { $, button, clock, isSilent, make, onStatus, request, setText, Refused, SILENT_AFTER_S } from "./station.js";
 import { directionError, error, follows, latestSample } from "./telemetry.js";
-import { countedFrom, errorSummary, ended } from "../runs/result.js";
+import { countedFrom, errorOf, errorSummary, ended } from "../runs/result.js";
 
 const REFRESH_INTERVAL_MS = 200; // ms
 const length = (vector, scale = 1) => (vector ? scale * Math.hypot(...vector) : null);
@@ -19,9 +19,10 @@ function timeLeft() {
   return run.phase === "moving" ? clock(run.duration * (1 - run.progress)) : BEFORE[run.phase] ?? null;
 }
 
-const errorName = (sample) => (follows(sample) ? (sample.target_visible ? "off target" : "target not seen") : "error");
+/** Return the addition to the error's name in a run that follows a target. */
+const ofTarget = (sample) => (follows(sample) ? (sample.target_visible ? " off target" : ", target not seen") : "");
 /** Return the error by the tracker as an addition to the true one, which only a virtual lab knows; empty without a motion. */
-const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker ${size.toFixed(2)}` : ""; };
+const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker\u00a0error\u00a0${size.toFixed(2)}\u00a0mm` : ""; };
 /** Whether the bench has no force sensors, so that the force is estimated from the deflection of the tip. */
 const byDeflection = (sample) => sample?.trouble?.[2] === -1 && sample.force_filtered !== null;
 /** Whether the bench has a tracker that does not measure the tip now: a deflection would look as if it were measured. */
@@ -29,7 +30,7 @@ const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Quantity with a colour on the page, name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { quantity: "error", name: (sample) => `${errorName(sample)}, ${reference(sample) === "true" ? `true${byTracker(sample)}` : "tracker"}`, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
+  { quantity: "error", name: (sample) => (reference(sample) === "true" ? `true error${ofTarget(sample)}${byTracker(sample)}` : `tracker error${ofTarget(sample)}`), unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
   { quantity: "force", name: (sample) => (byDeflection(sample) ? "force, est." : "force"), unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
   { name: () => "deflection", unit: "mm", value: (s) => (s && !isTipLost(s) ? length(s.deflection_filtered, 1e3) : null), text: fixed(1), none: "needs a measured tip and force sensors that measure" },
@@ -68,7 +69,7 @@ async function reportEnd(run) {
   }
   if (reported !== run.id) return;
   const [largest, rms] = errorSummary(result), force = Math.max(...Object.values(result.outcomes).map((one) => one.force ?? NaN));
-  const numbers = largest === "–" ? ended(result) : `${ended(result)} · error at most ${largest}, RMS ${rms} mm${countedFrom(result)}${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
+  const numbers = largest === "–" ? ended(result) : `${ended(result)} · ${errorOf(result)} at most ${largest}\u00a0mm, RMS ${rms}\u00a0mm${countedFrom(result)}${Number.isFinite(force) ? ` · force at most ${force.toFixed(2)} N` : ""}`;
   again.onclick = async () => (await import("../run/run.js")).runAgain(run.id);
   $("ended").replaceChildren(make("div", {}, make("b", {}, run.title), make("span", { className: result.label }, numbers)),
     button("Result", async () => (await import("../runs/runs.js")).showRun(run.id)),

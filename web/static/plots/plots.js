@@ -13,8 +13,8 @@ const scaled = (sample, group, factor) => sample[group]?.map((x) => factor * x) 
 
 /** Available charts: title, unit, traces, smallest span. */
 const ALL = {
-  error: ["Error, measured", "mm", components((s) => error(s, "tip_measured")), 1],
-  true: ["Error, true", "mm", components((s) => error(s, "tip_true")), 1],
+  "tracker error": ["Tracker error", "mm", components((s) => error(s, "tip_measured")), 1],
+  "true error": ["True error", "mm", components((s) => error(s, "tip_true")), 1],
   force: ["Force at the tip", "N", components((s) => s.force_filtered, (s) => s.force)
     .map((trace, i) => (i < 3 ? { ...trace, spread: (s) => 2 * Math.sqrt(s.force_variance?.[i] ?? NaN) } : trace)), 0.1],
   deflection: ["Deflection", "mm", components((s) => scaled(s, "deflection_filtered", 1e3), (s) => scaled(s, "deflection", 1e3)), 1],
@@ -43,7 +43,7 @@ $("plots").append(chips, make("div", { className: "acts" }, spans, pause,
 for (const key of Object.keys(ALL)) {
   const chip = button(key.replace("joint ", "").replaceAll("_", " "), () => toggle(key, chip), { "aria-pressed": "false" });
   chips.append(chip);
-  if (["error", "force", "deflection"].includes(key)) toggle(key, chip);
+  if (["tracker error", "force", "deflection"].includes(key)) toggle(key, chip);
 }
 
 function toggle(key, chip) {

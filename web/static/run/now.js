@@ -12,8 +12,8 @@ const token = (name) => getComputedStyle(document.documentElement).getPropertyVa
 const live = (title, unit, traces, span) => new Chart(title, unit, traces, span, () => {}, point);
 const charts = [
   live("Error", "mm", [
-    { name: "tracker", value: (sample) => size(error(sample, "tip_measured")), colour: token("--dim") },
-    { name: "true", value: (sample) => size(error(sample, "tip_true")), colour: token("--error"), dash: [] }], 0.5),
+    { name: "tracker error", value: (sample) => size(error(sample, "tip_measured")), colour: token("--dim") },
+    { name: "true error", value: (sample) => size(error(sample, "tip_true")), colour: token("--error"), dash: [] }], 0.5),
   live("Force", "N", [{ name: "size", value: (sample) => size(sample.force_filtered), colour: token("--force") }], 0.1),
 ];
 const title = make("h3"), phase = make("p", { className: "small dim" }), load = make("p", { className: "small" });

@@ -5,7 +5,8 @@ import { curve, sparkline } from "../page/chart.js";
 export const SHAPES = { complete: "●", stopped: "■", interrupted: "▲", incomplete: "◆" };
 /** Outcomes in words; a run that ends in HOLD or FAULT has the outcome "stopped" too. */
 export const outcomeOf = (run) => (run.label === "stopped" ? "ended early" : run.label);
-const AGAINST = { true: "the true tip of the virtual lab", measured: "the tracker" };
+const ERRORS = { true: "true error", measured: "tracker error" };
+const TIPS = { true: "the true tip of the virtual lab", measured: "the tip that the tracker measures" };
 const MAX_LISTED_NUMBERS = 12; // longer lists are shown by their length
 
 export const address = (run, what) => `/api/runs/${encodeURIComponent(run)}/${what}`;
@@ -23,6 +24,9 @@ export function errorSummary(run) {
   const cases = Object.values(run.outcomes);
   return cases.length === 0 ? ["–", "–"] : [range(cases.map((one) => one.largest_distance)), range(cases.map((one) => one.rms_distance))];
 }
+
+/** Return which error the numbers of a run mean: the true one, which only a virtual lab knows, or the tracker's. */
+export const errorOf = (run) => ERRORS[Object.values(run.outcomes)[0]?.against ?? "measured"];
 
 /** Return the duration of a run's motion, the sum over its cases; empty if unknown. */
 export function durationOf(run) {
@@ -46,19 +50,19 @@ function numbers(run) {
   const cases = Object.entries(run.outcomes), many = cases.length > 1;
   if (cases.length === 0) return make("p", { className: "dim" }, "No errors of the tip: the motion did not start, had no path, or ended before the evaluated part.");
   const forces = cases.some(([, one]) => one.force !== null);
-  const head = ["", "x", "y", "z", "distance", ...(forces ? ["force"] : [])].map((text) => make("th", { className: text === "" ? "" : "number" }, text));
+  const head = ["", "x", "y", "z", "distance [mm]", ...(forces ? ["force"] : [])].map((text) => make("th", { className: text === "" ? "" : "number" }, text));
   const row = (title, axes, distance, force) => make("tr", {}, cell(title, ""), ...axes.map((x) => cell(mm(x))), cell(make("b", {}, mm(distance))), forces ? cell(force) : null);
   const rows = cases.flatMap(([name, one]) => [
     ...(many ? [make("tr", {}, make("th", { colSpan: head.length }, name.replaceAll("_", " ")))] : []),
-    row("largest", one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
-    row("RMS", one.rms, one.rms_distance, ""),
+    row(`largest ${ERRORS[one.against]}`, one.largest, one.largest_distance, one.force === null ? "–" : `${one.force.toFixed(2)} N`),
+    row(`RMS ${ERRORS[one.against]}`, one.rms, one.rms_distance, ""),
   ]);
   const at = cases.filter(([, one]) => one.largest_at !== null).map(([name, one]) => `${many ? `${name.replaceAll("_", " ")} ` : ""}${one.largest_at.toFixed(1)} s`);
   const when = at.length === 0 ? "" : ` Largest distance at ${at.join(", ")}.`;
   const [, first] = cases[0], measured = cases.map(([, one]) => one).filter((one) => one.measured_largest !== null);
-  const byTracker = measured.length === 0 ? "" : ` The tracker measured distances of at most ${range(measured.map((one) => one.measured_largest))}, RMS ${range(measured.map((one) => one.measured_rms))}.`;
+  const byTracker = measured.length === 0 ? "" : ` The tracker error was at most ${range(measured.map((one) => one.measured_largest))} mm, RMS ${range(measured.map((one) => one.measured_rms))} mm.`;
   return make("div", {}, make("table", {}, make("tr", {}, ...head), ...rows),
-    make("p", { className: "small dim" }, `Errors in mm against ${AGAINST[first.against]}, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.${when}${byTracker}`));
+    make("p", { className: "small dim" }, `The ${ERRORS[first.against]} in mm is the distance of ${TIPS[first.against]} from its desired position, from ${readable(first.counted_from)} s on${forces ? "; force: the largest, filtered" : ""}.${when}${byTracker}`));
 }
 
 /** Return charts with the curves of all `cases`: [[name, curve]]. */

@@ -87,7 +87,7 @@ function show() {
 function describe({ measured, desired, contact, force }) {
   if (contact !== "" && force !== null) return `contact: ${contact}`;
   if (measured === null || desired === null) return "";
-  return `measured tip ${Math.hypot(...measured.map((x, i) => x - desired[i])).toFixed(2)} mm from desired`;
+  return `tracker error ${Math.hypot(...measured.map((x, i) => x - desired[i])).toFixed(2)} mm`;
 }
 
 /** Show the distance between the model's tip and the measured tip while the scene draws the model's end. */
