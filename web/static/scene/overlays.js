@@ -34,6 +34,7 @@ const DEFAULT_FIELD_MM = 25;
 
 let picture = null, receivedAt = -Infinity, frameRequested = false;
 let lastPath = []; // last path of a motion; its plane and field stay until the next path
+let grown = { motion: "", field: 0 }; // field that fitted the last path so far
 let plane = null, field = null; // plane and field that the user has chosen; null: chosen to fit the path
 
 const canvas = make("canvas", { role: "img", "aria-label": "the tip, enlarged" }), caption = make("p");
@@ -55,12 +56,34 @@ function foldCloseUp(folded) {
   show();
 }
 
-/** Return the smallest field that contains the last path [mm]; before the first path, the default field. */
+/**
+ * Return the smallest field that contains the last path, the tip and the force's arrow [mm]; before the first path, the
+ * default field. It only grows during a motion, because a picture that follows a varying force would be restless.
+ */
 function fittingField() {
-  if (lastPath.length < 2) return DEFAULT_FIELD_MM;
-  const axes = PLANES[plane ?? bestPlane(lastPath)];
-  const size = Math.max(...[axes.right, axes.up].map(([axis]) => span(lastPath, axis)));
-  return FIELDS_MM.find((one) => one > 1.2 * size) ?? DEFAULT_FIELD_MM;
+  if (picture === null || picture.path.length < 2) return grown.field || DEFAULT_FIELD_MM;
+  const axes = PLANES[plane ?? bestPlane(lastPath)], motion = JSON.stringify([lastPath[0], lastPath.at(-1), lastPath.length, plane]);
+  if (motion !== grown.motion) grown = { motion, field: 0 };
+  const fitting = FIELDS_MM.find((one) => one >= grown.field && fits(axes, one)) ?? FIELDS_MM.find((one) => one > 1.2 * pathSize(axes));
+  return grown.field = Math.max(grown.field, fitting ?? DEFAULT_FIELD_MM);
+}
+
+const pathSize = (axes) => Math.max(...[axes.right, axes.up].map(([axis]) => span(lastPath, axis)));
+
+/** Return whether the path, the tip and the arrow are inside the picture above its ruler, with room for their marks. */
+function fits({ right, up }, field) {
+  const { clientWidth: width, clientHeight: height } = canvas, scale = Math.min(width, height) / field;
+  const points = [...lastPath, picture.measured, picture.estimated, arrowEnd(field)].filter((point) => point !== null);
+  const half = [width / 2, (height - RULER_HEIGHT) / 2];
+  return [right, up].every(([axis], i) => points.every((point) => scale * Math.abs(point[axis] - middle(lastPath, axis)) <= half[i] - MARK_PX));
+}
+
+/** Return where the force's arrow ends [mm]; null without an arrow. */
+function arrowEnd(field) {
+  const { force, place } = picture;
+  if (force === null || place === null) return null;
+  const size = Math.hypot(...force), length = LONGEST_ARROW * field * Math.min(1, size / FULL_FORCE);
+  return size === 0 ? place : place.map((x, i) => x + (length * force[i]) / size);
 }
 
 function zoom(step) {
@@ -114,6 +137,7 @@ document.addEventListener("visibilitychange", show);
 const AXES = ["x", "y", "z"];
 const GRID = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]; // possible distances of the grid's lines [mm]
 const LONGEST_ARROW = 0.42; // length of the arrow from FULL_FORCE on, as a fraction of the picture's shorter side
+const MARK_PX = 8; // radius of the marks of the tips [px]
 const RULER_HEIGHT = 24; // height of the strip with the scale and the axes [px]
 const FULL_FORCE = 0.5; // force at which the arrow has its largest length [N]
 
@@ -143,8 +167,9 @@ function draw(plane, field, stale) {
   const colours = Object.fromEntries(["text", "dim", "grid", "back"].map((name) => [name, style.getPropertyValue(`--${name}`)]));
   const sign = (name) => legend.signs.find((one) => one.name.startsWith(name)).colour;
   const scale = Math.min(w, h) / field, origin = pictureCentre(plane, field);
+  const middleHeight = (h - RULER_HEIGHT) / 2; // of the part above the ruler
   const part = ([axis, rightSign], point) => rightSign * (point[axis] - origin[axis]);
-  const at = (point) => [w / 2 + scale * part(plane.right, point), h / 2 - scale * part(plane.up, point)];
+  const at = (point) => [w / 2 + scale * part(plane.right, point), middleHeight - scale * part(plane.up, point)];
 
   pen.globalAlpha = 1;
   pen.fillStyle = colours.back;
@@ -170,11 +195,11 @@ function draw(plane, field, stale) {
     pen.strokeStyle = colours.grid;
     pen.lineWidth = 1;
     pen.beginPath();
-    for (const [along, size] of [[plane.right, w], [plane.up, h]]) {
+    for (const [along, size] of [[plane.right, w], [plane.up, h + RULER_HEIGHT]]) {
       const here = origin[along[0]], reach = size / 2 / scale;
       for (let n = Math.ceil((here - reach) / step); n * step <= here + reach; n++) {
         const offset = along[1] * (n * step - here) * scale;
-        if (along === plane.right) { pen.moveTo(w / 2 + offset, 0); pen.lineTo(w / 2 + offset, h); } else { pen.moveTo(0, h / 2 - offset); pen.lineTo(w, h / 2 - offset); }
+        if (along === plane.right) { pen.moveTo(w / 2 + offset, 0); pen.lineTo(w / 2 + offset, h); } else { pen.moveTo(0, middleHeight - offset); pen.lineTo(w, middleHeight - offset); }
       }
     }
     pen.stroke();
