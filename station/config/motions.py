@@ -265,6 +265,11 @@ class PalpateMotion(Strict):
         return np.array(self.direction) / np.linalg.norm(self.direction)
 
     @property
+    def press(self) -> Press:
+        """Largest force of the tip, and the bounds of its motion."""
+        return Press(self.along, self.force, self.speed, self.reach)
+
+    @property
     def grid(self) -> tuple[tuple[int, int], ...]:
         """Row and column of each place in the order of the visits: every second row is visited backward."""
         forward = range(self.columns)
@@ -280,8 +285,8 @@ class PalpateMotion(Strict):
     def trajectory(self) -> Palpation:
         """Return the trajectory that the controller tracks."""
         places = tuple(tuple(self.place(row, column).tolist()) for row, column in self.grid)
-        light, firm = (Press(self.along, force, self.speed, self.reach) for force in (self.light, self.force))
-        return Palpation(places, light, firm, self.travel, self.dwell)
+        light = self.press._replace(force=self.light)
+        return Palpation(places, light, self.press, self.travel, self.dwell)
 
 
 #: Motions that hold a force.
@@ -412,7 +417,7 @@ PRESS_BANDWIDTH_HZ = 0.3
 
 def suited(file: ControllerFile, motion: Motion) -> ControllerFile:
     """Return the controller's settings for a motion: with `PRESS_BANDWIDTH_HZ` for a force unless another is set."""
-    if motion.kind != "force" or file.filter_bandwidth is not None:
+    if not isinstance(motion, PressMotion) or file.filter_bandwidth is not None:
         return file
     return file.model_copy(update={"filter_bandwidth": PRESS_BANDWIDTH_HZ})
 
@@ -425,8 +430,8 @@ class Orders:
         self._motion = motion
         #: The target determines the desired position; `at` gives the start position only.
         self.follow = motion if isinstance(motion, FollowMotion) else None
-        #: Desired force of the tip; None: the motion controls the position only.
-        self.press = motion.press if isinstance(motion, ForceMotion) else None
+        #: Largest desired force of the tip; None: the motion controls the position only.
+        self.press = motion.press if isinstance(motion, PressMotion) else None
         self._trajectory: Trajectory | None = None
         self._directions = directions_of(motion.directions) if isinstance(motion, _Pointed) else None
         if isinstance(motion, JointSweepMotion):
