@@ -66,7 +66,7 @@ def open_new_run(station: Served, page: Page) -> None:
         if page.get_by_role("button", name="all runs").count():
             button(page, "all runs")
         page.locator("#runs .card").first.click()
-        page.get_by_role("button", name="Delete…").wait_for()
+        page.get_by_role("button", name="Save notes").wait_for()
         return run in page.locator("#runs").inner_text()
 
     until(opened)
