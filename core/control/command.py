@@ -23,6 +23,7 @@ from core.control.controllers import (
     outer_law,
 )
 from core.control.estimation import Estimate, estimate_fields
+from core.control.retreat import inverse_after_retreat, retreat, room_after
 from core.control.tip_direction import POSITION_ONLY, DirectionTask, TaskSelection
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import (
@@ -30,14 +31,12 @@ from core.control.velocity_ik import (
     NullSpace,
     VelocityLimits,
     VelocityTask,
-    inverse_at,
     inverse_law,
     no_rows,
     zero_velocity,
 )
 from core.errors import NotFinite
 from core.model.solution import fields
-from core.robot.keep_out import with_retreat
 from core.robot.limits import Backbone, Limits, velocity_bounds
 from core.robot.robot import Array
 
@@ -54,6 +53,8 @@ class CommandResult(NamedTuple):
 
 #: Empty array as default of the argument `drift`: the loops use the drift that the tip observer estimates.
 OBSERVER_DRIFT = np.zeros(0)
+#: Empty array: the joint velocities start from zero instead of a retreat.
+NO_RETREAT = np.zeros(0)
 
 
 #: Settings of the compiled control law, which reads them by name.
@@ -113,11 +114,11 @@ def command(
     context = _CurrentConfiguration(joints, now, force, near)
     if limits.others:
         rows, room = limits.rows(context)
+    retreating = retreat(limits, context, rows, room)
     if strategy.laws is None:
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
-        found = inverse_at(limits, joints, *task, rows, room)
-        velocity = with_retreat(limits, context, rows, room, found.velocity)
-        return CommandResult(velocity, u_int, found.sigma, found.at_bound, found.at_row)
+        velocity, *found = inverse_after_retreat(limits, joints, task, rows, room, retreating)
+        return CommandResult(velocity, u_int, *found)
     others, no_objective = _nothing_else(n)
     null_space = no_objective if null_space is None else null_space
     if tasks:
@@ -128,11 +129,11 @@ def command(
     if not _command(
         _settings(strategy.laws, feedback, aim.position, aim.floor),
         limits.packed, joints, now.loaded.numbers, now.unloaded.numbers, now.numbers,
-        setpoint.position, setpoint.velocity, tip, origin, drift, *others, rows, room, *null_space, *found,
+        setpoint.position, setpoint.velocity, tip, origin, drift, *others,
+        NO_RETREAT if retreating is None else retreating,
+        rows, room if retreating is None else room_after(retreating, rows, room), *null_space, *found,
     ):  # fmt: skip
         raise NotFinite(f"requested tip velocity {found.u_int.tolist()} m/s or the Jacobian is not finite")
-    if not room.all():
-        found.velocity[:] = with_retreat(limits, context, rows, room, found.velocity)
     return found
 
 
@@ -232,7 +233,7 @@ def _stacked(weight: float, position: VelocityTask, rows: Array, velocity: Array
 def _command(
     settings: NDArray[np.void], limits: Array, joints: Array, loaded: Array, unloaded: Array, estimate: Array,
     desired: Array, velocity: Array, tip: Array, origin: Array, drift: Array, task_rows: Array, task_velocity: Array,
-    rows: Array, room: Array, preferred: Array, resisted: Array,
+    retreating: Array, rows: Array, room: Array, preferred: Array, resisted: Array,
     command: Array, u_int: Array, sigma: Array, at_bound: Array, at_row: Array,
 ) -> bool:  # fmt: skip
     """Compute `command` with built-in loops into the last five arguments; return False if an input is not finite."""
@@ -251,9 +252,18 @@ def _command(
     if task_velocity.size > 0:
         task = _stacked(law.weight, task, task_rows, task_velocity)
     lower, upper = velocity_bounds(joints, limits)
+    if retreating.size > 0:  # the joints move relative to the retreat
+        task = VelocityTask(task.jacobian, task.velocity.copy())
+        for j in range(retreating.size):
+            lower[j] -= retreating[j]
+            upper[j] -= retreating[j]
+            for i in range(task.velocity.size):
+                task.velocity[i] -= task.jacobian[i, j] * retreating[j]
     bounds = VelocityLimits(limits[2], lower, upper, rows, room)
     found, values, bounded, active, finite = inverse_law(task, bounds, NullSpace(preferred, resisted), law.min_floor)
     copy(found, command)
+    for j in range(retreating.size):
+        command[j] += retreating[j]
     for i in range(sigma.shape[0]):
         sigma[i] = values[max(0, values.shape[0] - sigma.shape[0] + i)]
     copy(bounded, at_bound)

@@ -12,13 +12,14 @@ from functools import cached_property
 
 import numpy as np
 
+from core.control.retreat import inverse_after_retreat, retreat
 from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation, task_rows
 from core.control.trajectories import Directions, Trajectory
-from core.control.velocity_ik import SIGMA_FLOOR_M_S, inverse
+from core.control.velocity_ik import NO_BOUNDS, SIGMA_FLOOR_M_S, VelocityTask, no_rows
 from core.errors import Cancelled, CtrError, PoseError, Unreachable
-from core.model.backbone import backbone
+from core.model.backbone import ExpectedMotion, backbone
 from core.model.statics import Solution, Statics
-from core.robot.keep_out import KeepOut, with_retreat
+from core.robot.keep_out import KeepOut
 from core.robot.limits import Backbone, Limits
 from core.robot.robot import Array
 
@@ -35,9 +36,14 @@ APPROACH_TIME_S = 20.0
 class SolvedConfiguration:
     """Limit context of a solved pose."""
 
-    def __init__(self, statics: Statics, at: Solution, tip: Array | None = None) -> None:
-        """Store a solution; `tip` is the observed position of the tip (3,) [m], by default the model's."""
-        self._statics, self._at, self._observed = statics, at, tip
+    def __init__(
+        self, statics: Statics, at: Solution, tip: Array | None = None, expected: ExpectedMotion | None = None
+    ) -> None:
+        """Store a solution; `tip` is the observed position of the tip (3,) [m], by default the model's.
+
+        `expected` is the motion that joint velocities cannot change; None: the robot is at rest.
+        """
+        self._statics, self._at, self._observed, self._expected = statics, at, tip, expected
         self.joints, self.force = at.joints, at.wrench[:3]
         self._backbone: Backbone | None = None
 
@@ -55,7 +61,7 @@ class SolvedConfiguration:
     def backbone(self) -> Backbone:
         """Points along the loaded tubes."""
         if self._backbone is None:
-            self._backbone = backbone(self._statics, self._at, self._observed)
+            self._backbone = backbone(self._statics, self._at, self._observed, self._expected)
         return self._backbone
 
 
@@ -175,20 +181,24 @@ class _Walk:
     def step(self, target: Array, time: float, length: float, pointing: Array) -> float:
         """Move for `length` [s] toward a target (3,) [m] and direction (3,); return the distance that remains [m]."""
         at, limits = self.at, self._limits
-        lower, upper = limits.velocity_bounds(at.joints)
-        rows, room, context = None, np.zeros(0), SolvedConfiguration(self._statics, at)
-        if limits.others:
-            rows, room = limits.rows(context)
         wrench = self._wrench(time)
+        rows, room, retreating = no_rows(at.joints.size), NO_BOUNDS, None
+        if limits.others:
+            expected = ExpectedMotion(
+                np.zeros(at.joints.size), (wrench[:3] - at.wrench[:3]) / length, np.zeros(3), lead_time=0.0
+            )
+            context = SolvedConfiguration(self._statics, at, expected=expected)
+            rows, room = limits.rows(context)
+            retreating = retreat(limits, context, rows, room)
         # The joints must also compensate the motion that the load causes in this step.
         moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
         desired = task_rows(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
         jacobian = task_rows(self._aim, at.jacobian, at.rotation)
-        found = inverse(jacobian, desired, limits.speed, lower, upper, rows, room)
-        velocity = found.velocity if rows is None else with_retreat(limits, context, rows, room, found.velocity)
-        self._reasons = limits.active(at.joints, found.at_bound, found.at_row)
-        if found.sigma[-1] < NEAR_SINGULAR_M_S:
-            self._reasons = (f"a singular pose (sigma {1e3 * found.sigma[-1]:.2g} mm/s)", *self._reasons)
+        task = VelocityTask(jacobian, desired)
+        velocity, sigma, *active = inverse_after_retreat(limits, at.joints, task, rows, room, retreating)
+        self._reasons = limits.active(at.joints, *active)
+        if sigma[-1] < NEAR_SINGULAR_M_S:
+            self._reasons = (f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)", *self._reasons)
         try:
             self.at = self._statics.solve(at.joints + length * velocity, wrench, at)
         except CtrError as error:

@@ -31,6 +31,15 @@ from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import Corrections, FusedLoad, fuse_at
+from core.control.shape_correction import (
+    FORCE_ERROR_N,
+    UNKNOWN_FORCE_N,
+    Cause,
+    ShapeCorrection,
+    error_causes,
+    start_correction,
+    update_correction,
+)
 from core.control.stiffness import NO_OFFSET, STAGES_LAG_S, Offset, TipStiffness
 from core.control.tip_direction import (
     POSITION_ONLY,
@@ -43,11 +52,11 @@ from core.control.tip_direction import (
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import DescriptionError, NotFinite
-from core.model.backbone import backbone
+from core.model.backbone import ExpectedMotion, backbone
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.keep_out import KeepOut
-from core.robot.limits import Limits
+from core.robot.limits import Backbone, Limits
 from core.robot.robot import Array
 
 
@@ -75,6 +84,7 @@ class ControllerState(NamedTuple):
     deflection: DeflectionForce | None = None  #: force from the deflection, if there is a tracker
     offset: Offset = NO_OFFSET  #: offset of the setpoint that gives way to the force, if a stiffness is configured
     contact: Contact = NO_CONTACT  #: state of a motion that holds a force
+    correction: ShapeCorrection | None = None  #: correction of the tubes' points, if there are regions
 
 
 #: Largest recorded clearance, also of a robot without regions [m].
@@ -174,6 +184,11 @@ class Controller:
     def regions(self) -> tuple[KeepOut, ...]:
         """Limits of this controller that keep the tubes out of regions."""
         return tuple(limit for limit in self.limits.others if isinstance(limit, KeepOut))
+
+    @cached_property
+    def error_causes(self) -> tuple[Cause, ...]:
+        """Causes of the model's error at the tip."""
+        return error_causes(self.statics, self.tube_error, FORCE_ERROR_N if self.senses else UNKNOWN_FORCE_N)
 
     @cached_property
     def kinks(self) -> Kinks:
@@ -302,9 +317,10 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     if controller.aim.lever > 0.0 or controller.watches:
         direction = _direction_estimate(controller, memory.direction, now, sample)
     slope, offset, contact = memory.slope, NO_OFFSET, NO_CONTACT
-    near, clearance = None, MAX_CLEARANCE_M
+    near, clearance, correction = None, MAX_CLEARANCE_M, memory.correction
     if controller.regions:
-        near = backbone(controller.statics, now.loaded, now.observed.tip)
+        correction = _shape_correction(controller, correction, now, sample)
+        near = _observed_tubes(controller, correction, now)
         clearance = min(clearance, *(region.clearance(near).distance for region in controller.regions))
     if isinstance(order, Setpoint):
         followed = order
@@ -337,9 +353,28 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         )  # fmt: skip
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
-        ControllerState(now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset, contact),
+        ControllerState(
+            now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset, contact, correction
+        ),
         clearance,
     )  # fmt: skip
+
+
+def _shape_correction(
+    controller: Controller, last: ShapeCorrection | None, now: Estimate, sample: Sample
+) -> ShapeCorrection:
+    """Return the correction of the tubes' points; every tracker frame updates it."""
+    statics, causes, noise = controller.statics, controller.error_causes, controller.estimator.observer.noise
+    if last is None:
+        return start_correction(statics, causes, now.loaded, noise)
+    return last if sample.tip is None else update_correction(statics, causes, last, now.loaded, noise)
+
+
+def _observed_tubes(controller: Controller, correction: ShapeCorrection, now: Estimate) -> Backbone:
+    """Return the tubes bent to the observed tip, with the motion that a command sent now cannot change."""
+    known, lead_time = now.known, controller.estimator.actuation.lead_time + STAGES_LAG_S
+    expected = ExpectedMotion(known.ahead, known.force_rate, known.drift, lead_time)
+    return backbone(controller.statics, now.loaded, now.observed.tip, expected, correction.weights)
 
 
 def _pressing(

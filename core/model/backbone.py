@@ -1,9 +1,12 @@
-"""Points along the loaded tubes with their radii and Jacobians, from which distances to regions are computed.
+"""Points along the loaded tubes with their radii, Jacobians and expected motion, for distances to regions.
 
 The Jacobian of a point is a difference quotient: the tubes are integrated once more for each joint, with the joint
 moved a little and the base unknowns moved with it by their sensitivity. The load stays constant. A point at a fixed
-share of the length is a point of the moving curve, so the Jacobian at the last point is that of the tip.
+share of the length is a point of the moving curve, so the Jacobian at the last point is that of the tip. The motion
+that a changing load causes is a difference quotient, too.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,50 +21,99 @@ from core.robot.robot import FLUSH_TOLERANCE_M, Array, tube_poses, unpack
 POINTS = 32
 #: Change of a joint in the difference quotients [rad or m].
 JOINT_STEP = 1e-6
+#: Time by which the load is changed in the difference quotient [s].
+LOAD_STEP_S = 1e-3
+#: Rate of a constant force [N/s].
+NO_FORCE_RATE = np.zeros(3)
 
 
-def backbone(statics: Statics, solution: Solution, tip: Array | None = None) -> Backbone:
+class ExpectedMotion(NamedTuple):
+    """Motion of the robot that a command sent now cannot change."""
+
+    travel: Array  #: (n,) distance that the joints still move until such a command takes effect [rad or m]
+    force_rate: Array  #: (3,) rate of the force on the tip [N/s]
+    tip_drift: Array  #: (3,) tip velocity that neither the joints nor the load explain [m/s]
+    lead_time: float  #: time until such a command takes effect [s]
+
+
+def backbone(
+    statics: Statics, solution: Solution, tip: Array | None = None, expected: ExpectedMotion | None = None,
+    weights: Array | None = None,
+) -> Backbone:  # fmt: skip
     """Return points along a solved shape, world frame: from the plate to the tip, then the ends of the outer tubes.
 
     Args:
         statics: model of the robot.
         solution: solved shape.
-        tip: observed position of the tip (3,) [m]; the points move toward it by the square of their share of the
-            length, because the model's error grows toward the tip. None: the points are those of the model.
+        tip: observed position of the tip (3,) [m], to which the points move. None: the points are those of the model.
+        expected: motion of the robot that a command sent now cannot change; None: the robot is at rest.
+        weights: displacement of each point over that of the tip (m, 3, 3); None: the square of the point's share of
+            the length, because the model's error grows toward the tip.
     """
+    found, shares = _sampled(
+        statics, solution, len(statics.robot.joints), NO_FORCE_RATE if expected is None else expected.force_rate
+    )
+    if weights is None:
+        weights = shares[:, None, None] ** 2 * np.eye(3)
+    if expected is not None:
+        found.drift[:] += weights @ expected.tip_drift
+        found.ahead[:] = found.jacobian @ expected.travel + expected.lead_time * found.drift
+    if tip is not None:
+        found.points[:] += weights @ (tip - solution.tip)
+    return found
+
+
+def centre_line(statics: Statics, solution: Solution) -> tuple[Array, Array]:
+    """Return the points (m, 3) [m] of `backbone` along a solved shape, and their shares of the length (m,)."""
+    found, shares = _sampled(statics, solution, 0, NO_FORCE_RATE)
+    return found.points, shares
+
+
+def _sampled(statics: Statics, solution: Solution, joints: int, force_rate: Array) -> tuple[Backbone, Array]:
+    """Return points with Jacobians by the first `joints` joints, and their shares of the length (m,)."""
     packed, order, sublink, tubes, _ = statics.compiled_arguments
-    n, q = len(statics.robot.joints), len(tubes)
+    q = len(tubes)
     m = POINTS + q - 1
-    found, shares = Backbone(np.empty((m, 3)), np.empty(m), np.empty((m, 3, n)), POINTS), np.empty(m)
+    at_rest = np.zeros((m, 3)), np.zeros((m, 3))
+    found, shares = Backbone(np.empty((m, 3)), np.empty(m), np.empty((m, 3, joints)), *at_rest, POINTS), np.empty(m)
     _sample(
         packed, order, sublink, solution.joints, solution.wrench, solution.contact, solution.unknowns,
-        solution.sensitivity, statics.outer_radii, tubes, *found[:3], shares,
+        solution.sensitivity, statics.outer_radii, tubes, force_rate, *found[:4], shares,
         np.empty((statics.max_sections, 16 + 2 * q)),
     )  # fmt: skip
-    if tip is not None:
-        found.points[:] += shares[:, None] ** 2 * (tip - solution.tip)
-    return found
+    return found, shares
 
 
 @compiled
 def _sample(
     packed: Array, order: int, sublink: float, joints: Array, wrench: Array, contact: float, unknowns: Array,
-    sensitivity: Array, outer_radii: Array, tubes: tuple[float, ...],
-    points: Array, radii: Array, jacobian: Array, shares: Array, path: Array,
+    sensitivity: Array, outer_radii: Array, tubes: tuple[float, ...], force_rate: Array,
+    points: Array, radii: Array, jacobian: Array, drift: Array, shares: Array, path: Array,
 ) -> None:  # fmt: skip
-    """Compute a `Backbone` and each point's share of the length (m,); `path` is work space."""
+    """Compute the parts of a `Backbone` and each point's share of the length (m,); `path` is work space.
+
+    `drift` becomes the velocity of the points that `force_rate` causes.
+    """
     layout, scheme, q = unpack(packed), Scheme(order, sublink), len(tubes)
-    m, state, rates = points.shape[0], np.empty(18 + 2 * q), np.empty(0)
+    m, n, state, rates, force = points.shape[0], joints.shape[0], np.empty(18 + 2 * q), np.empty(0), wrench[:3].copy()
     moved, shifted, moved_points, ends = joints.copy(), unknowns.copy(), np.empty_like(points), np.empty(q)
-    for j in range(-1, joints.shape[0]):
-        for k in range(joints.shape[0]):
-            moved[k] = joints[k] + (JOINT_STEP if k == j else 0.0)
+    load = jacobian.shape[2]
+    for j in range(-1, load + 1):  # -1: the shape; `load`: its change by the load
+        if j == load and force_rate[0] == 0.0 and force_rate[1] == 0.0 and force_rate[2] == 0.0:
+            break
+        for k in range(n):
+            moved[k] = joints[k] + (JOINT_STEP if k == j < load else 0.0)
         for k in range(unknowns.shape[0]):
-            shifted[k] = unknowns[k] + (JOINT_STEP * sensitivity[k, j] if j >= 0 else 0.0)
+            shifted[k] = unknowns[k] + (JOINT_STEP * sensitivity[k, j] if 0 <= j < load else 0.0)
+        if j == load:
+            for i in range(3):
+                force[i] += LOAD_STEP_S * force_rate[i]
+                for k in range(unknowns.shape[0]):
+                    shifted[k] += LOAD_STEP_S * force_rate[i] * sensitivity[k, n + i]
         alpha, beta, _ = tube_poses(layout, moved)
         for i in range(q):
             ends[i] = beta[i] + layout.ends[i, layout.counts[i] - 1]
-        passed = propagate(layout, scheme, alpha, beta, wrench[:3], contact, shifted, tubes, (), state, rates, path)
+        passed = propagate(layout, scheme, alpha, beta, force, contact, shifted, tubes, (), state, rates, path)
         length = path[passed - 1, 0]
         for i in range(m):
             s = length * i / (POINTS - 1) if i < POINTS else min(ends[i - POINTS + 1], length)
@@ -69,7 +121,9 @@ def _sample(
             _point(path, passed, s, point)
             for k in range(3):
                 point[k] += layout.base[9 + k]
-                if j >= 0:
+                if j == load:
+                    drift[i, k] = (point[k] - points[i, k]) / LOAD_STEP_S
+                elif j >= 0:
                     jacobian[i, k, j] = (point[k] - points[i, k]) / JOINT_STEP
             if j < 0:
                 shares[i], radii[i] = s / length, 0.0

@@ -3,8 +3,11 @@
 A region has a signed distance to each point, negative inside. The clearance of the tubes is the smallest distance of
 their centre line less their radius and the region's margin; for an allowed region the distance changes its sign. The
 limit slows the motion toward a region as other limits do: the clearance over `BRAKING_TIME_CONSTANT_S` bounds the
-speed at which the nearest point of each part of the tubes approaches it. A load can push the tubes nearer than the
-margin. During a motion the robot then retreats until the clearance is zero; without a motion it does not move.
+speed at which the nearest point of each part of the tubes approaches it. The clearance is that at the time when a
+command takes effect. The speed with which a rising load pushes the point toward the region counts as approach.
+
+A load can push the tubes nearer than the margin. During a motion the robot then retreats until the clearance is zero
+(`core.control.retreat`); without a motion it does not move.
 """
 
 import math
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 
 from core.compiled import compiled
 from core.errors import DescriptionError, PoseError
-from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, Limits, built_in
+from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, built_in
 from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has a row of the limit, for its point that is nearest to the region.
@@ -31,8 +34,8 @@ CELL_M, REACH_M = 0.005, 0.030
 FAR_M = 0.010
 #: Distance by which the clearance may be missed, because the limit lets the tubes come as near as the margin [m].
 TOLERANCE_M = 1e-4
-#: Time constant of a retreat [s], twice the delay of the stages, and its largest speed [m/s].
-RETREAT_TIME_S, MAX_RETREAT_M_S = 0.15, 0.005
+#: Time constant of a retreat [s], twice the delay of the stages.
+RETREAT_TIME_S = 0.15
 #: Largest number of triangles of a mesh, and of its cells.
 MAX_TRIANGLES, MAX_CELLS = 100_000, 400_000
 
@@ -139,7 +142,8 @@ class KeepOut:
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
         """Return a row for each part of the tubes: its approach is at most the clearance over a time constant."""
-        return self.evaluated(at.backbone)[:2]
+        rows, signed, _ = self.evaluated(at.backbone)
+        return rows, np.maximum(signed, 0.0)
 
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
@@ -150,12 +154,15 @@ class KeepOut:
         return Clearance(float(best[0]), point, direction, point - away * direction)
 
     def evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
-        """Return rows, room, and clearance, nearest point and direction of each part (5, 7)."""
+        """Return rows, signed room, and clearance, nearest point and direction of each part (5, 7).
+
+        Where the room is negative, a retreat is necessary, with this speed [m/s].
+        """
         last = self.__dict__.get("_last")  # a tick evaluates a limit three times
         if last is not None and last[0] is near:
             return last[1]
         found = np.zeros((len(PARTS), near.jacobian.shape[2])), np.empty(len(PARTS)), np.empty((len(PARTS), 7))
-        _rows(self.region.packed, *self.region.mesh, *near, BRAKING_TIME_CONSTANT_S, *found)
+        _rows(self.region.packed, *self.region.mesh, *near, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
         self.__dict__["_last"] = near, found
         return found
 
@@ -176,48 +183,13 @@ def smallest_clearance(limits: Sequence[object], near: Backbone) -> tuple[str, C
     return min(found, key=lambda one: one[1].distance, default=None)
 
 
-def with_retreat(limits: Limits, at: LimitContext, rows: Array, room: Array, velocity: Array) -> Array:
-    """Return joint velocities (n,) with a retreat from the region whose margin the tubes miss most.
-
-    The retreat is as fast as the travel of the joints and the other limits allow, for example the tube order.
-
-    Args:
-        limits: limits of the robot.
-        at: state of the robot.
-        rows, room: rows (m, n) and room (m,) of `limits` there; room is 0 where a margin is missed.
-        velocity: joint velocities inside the limits (n,) [rad/s or m/s].
-    """
-    if room.all():
-        return velocity
-    worst, row = 0.0, None
-    for limit in limits.others:
-        if isinstance(limit, KeepOut):
-            own, _, parts = limit.evaluated(at.backbone)
-            part = int(parts[:, 0].argmin())
-            if parts[part, 0] < worst:
-                worst, row = float(parts[part, 0]), own[part]
-    if row is None:
-        return velocity
-    scaled = row * limits.speed
-    square = float(scaled @ scaled)
-    if square < 1e-18:  # no joint moves that point
-        return velocity
-    away = max(worst / RETREAT_TIME_S, -MAX_RETREAT_M_S)
-    lower, upper = limits.velocity_bounds(at.joints)
-    retreat = np.minimum(np.maximum(velocity + away / square * scaled * limits.speed, lower), upper) - velocity
-    toward, left = rows @ retreat, np.maximum(room - rows @ velocity, 0.0)
-    blocked = toward > 1e-12
-    share = min(1.0, float((left[blocked] / toward[blocked]).min(initial=1.0)))
-    return velocity + share * retreat
-
-
 @compiled
 def _rows(
     region: Array, triangles: Array, normals: Array, origin: Array, size: NDArray[np.int64], starts: NDArray[np.int64],
-    candidates: NDArray[np.int64], distances: Array, points: Array, radii: Array, jacobian: Array, along: int,
-    time: float, rows: Array, room: Array, nearest: Array,
+    candidates: NDArray[np.int64], distances: Array, points: Array, radii: Array, jacobian: Array, drift: Array,
+    ahead: Array, along: int, braking: float, retreat: float, rows: Array, room: Array, nearest: Array,
 ) -> None:  # fmt: skip
-    """Compute rows, room, and for each part the clearance [m], the nearest point [m] and the direction of growth."""
+    """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
     surface = Mesh(triangles, normals, origin, size, starts, candidates, distances)
     sign, margin, quarters = region[1], region[2], rows.shape[0] - 1
     direction, point = np.empty(3), np.empty(3)
@@ -235,7 +207,7 @@ def _rows(
             reachable = distance + radii[i] - max(radii[first], radii[last])
             if distance < best:
                 best, at = distance, i
-        room[part], nearest[part, 0] = 1.0 / time, np.inf
+        room[part], nearest[part, 0] = 1.0 / braking, np.inf
         if at < 0:
             continue  # a robot of one tube has no outer ends
         share = 0.0
@@ -250,7 +222,11 @@ def _rows(
         for j in range(rows.shape[1]):
             _between(jacobian[:, :, j], at, share, nearest[part, 1:4])
             rows[part, j] = -sign * (direction @ nearest[part, 1:4])
-        room[part], nearest[part, 0] = max(clearance, 0.0) / time, clearance
+        _between(ahead, at, share, nearest[part, 1:4])
+        expected = clearance + sign * (direction @ nearest[part, 1:4])
+        _between(drift, at, share, nearest[part, 1:4])
+        pushed = min(sign * (direction @ nearest[part, 1:4]), 0.0)  # a load that pulls away may end at any time
+        room[part], nearest[part, 0] = expected / (braking if expected > 0.0 else retreat) + pushed, clearance
         for k in range(3):
             nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * direction[k]
 
@@ -281,7 +257,11 @@ def _nearest_share(region: Array, surface: Mesh, points: Array, at: int, end: in
             high = right
         else:
             low = left
-    return 0.5 * (low + high)
+    share = 0.5 * (low + high)
+    _between(points, at, share, point)
+    there = region[1] * _distance(region, surface, point, direction)
+    _between(points, at, float(end), point)
+    return share if there < region[1] * _distance(region, surface, point, direction) else float(end)
 
 
 @compiled

@@ -33,6 +33,8 @@ class Backbone(NamedTuple):
     points: Array  #: (m, 3) positions on the centre line [m]
     radii: Array  #: (m,) radius of the outermost tube at each point [m]
     jacobian: Array  #: (m, 3, n) derivative of each point by the joints [m/rad or m/m]
+    drift: Array  #: (m, 3) velocity of each point that the joints do not cause [m/s]
+    ahead: Array  #: (m, 3) displacement of each point until a command sent now takes effect [m]
     along: int  #: number of points from the plate to the tip; those after them are the ends of outer tubes
 
 
@@ -72,7 +74,9 @@ class Configuration(NamedTuple):
     jacobian: Array
     tip: Array
     force: Array
-    backbone: Backbone = Backbone(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 0)), 0)
+    backbone: Backbone = Backbone(
+        np.empty((0, 3)), np.empty(0), np.empty((0, 3, 0)), np.empty((0, 3)), np.empty((0, 3)), 0
+    )
 
 
 class Limit(Protocol):

@@ -43,11 +43,18 @@ def true_clearance(bench: SimulatedBench, limits: Sequence[KeepOut]) -> float:
     for end, tube in zip(shape.ends, ROBOT.robot().tubes, strict=True):
         radii = np.where(arc <= end + 1e-9, np.maximum(radii, 0.5 * tube.outer_diameter), radii)
     points = centre_points(shape.line, arc)
-    return min(
-        (-1.0 if limit.region.inside else 1.0) * limit.region.distance(point)[0] - radius - limit.region.margin
-        for limit in limits
-        for point, radius in zip(points, radii, strict=True)
-    )
+    travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    smallest, largest_radius = np.inf, float(radii.max())
+    for limit in limits:
+        side = -1.0 if limit.region.inside else 1.0
+        i = 0
+        while i < POINTS:
+            distance = side * limit.region.distance(points[i])[0] - limit.region.margin
+            smallest = min(smallest, distance - radii[i])
+            # The distance changes at most as much as the point moves, so nearer points are at least this far along.
+            ahead = travelled[i] + max(distance - largest_radius - smallest, 0.0)
+            i = max(i + 1, int(np.searchsorted(travelled, ahead)))
+    return float(smallest)
 
 
 def run_between(

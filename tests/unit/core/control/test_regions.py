@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from core.control.reachability import SolvedConfiguration
+from core.control.retreat import inverse_after_retreat, retreat
 from core.control.step import Controller, Sample, Tick, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
-from core.robot.keep_out import KeepOut, with_retreat
+from core.control.velocity_ik import VelocityTask
+from core.robot.keep_out import KeepOut
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.regions import SphereRegion
 from station.config.robots import load_robot
@@ -64,12 +66,36 @@ def test_a_retreat_is_as_fast_as_the_other_limits_allow(share: float) -> None:
     control = controller((0.0058, 0.0, 0.0), 0.004)
     context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
     rows, room = control.limits.rows(context)
-    free = with_retreat(control.limits, context, rows, room, np.zeros(3))
-    assert np.abs(free).max() > 1e-4
+    free = retreat(control.limits, context, rows, room)
+    assert free is not None
+    worst = int(room.argmin())
+    assert rows[worst] @ free < -1e-3
 
-    other = free / (free @ free)  # its product with the free retreat is 1
-    found = with_retreat(control.limits, context, np.vstack((rows, other)), np.append(room, share), np.zeros(3))
-    assert np.allclose(found, share * free, atol=1e-12)
+    other = -rows[worst]  # a row that the retreat uses
+    found = retreat(control.limits, context, np.vstack((rows, other)), np.append(room, -share * (rows[worst] @ free)))
+    assert found is not None
+    assert rows[worst] @ found == pytest.approx(share * (rows[worst] @ free), abs=1e-9)
+
+
+def test_a_task_does_not_slow_a_retreat() -> None:
+    """The task requests the opposite of the retreat."""
+    control = controller((0.0058, 0.0, 0.0), 0.004)
+    context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
+    rows, room = control.limits.rows(context)
+    free = retreat(control.limits, context, rows, room)
+    assert free is not None
+
+    task = VelocityTask(context.jacobian, -5.0 * context.jacobian @ free)
+    velocity, *_ = inverse_after_retreat(control.limits, START, task, rows, room, free)
+    missed = room == 0.0
+    assert missed.any()
+    assert (rows[missed] @ velocity < rows[missed] @ free + 1e-9).all()
+
+
+def test_nothing_retreats_outside_of_the_margin() -> None:
+    control = controller((0.0080, 0.0, 0.0), 0.004)
+    context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
+    assert retreat(control.limits, context, *control.limits.rows(context)) is None
 
 
 def test_a_controller_without_regions_has_the_largest_recorded_clearance() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.model.backbone import POINTS, backbone
+from core.model.backbone import POINTS, ExpectedMotion, backbone
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import load_robot
@@ -66,3 +66,26 @@ def test_points_move_to_the_observed_tip_by_the_square_of_their_share() -> None:
     assert np.allclose(moved[POINTS - 1], offset)
     middle = (POINTS - 1) // 2
     assert np.allclose(moved[middle], (middle / (POINTS - 1)) ** 2 * offset)
+
+
+def test_expected_motion_contains_the_travel_of_the_joints_and_the_change_of_the_load(statics: Statics) -> None:
+    """Independent value: shapes solved at moved joints under a changed load."""
+    at = statics.solve(JOINTS["paper"], WRENCH)
+    travel, rate, time = np.array([1e-4, -2e-4, 1e-5]), np.array([0.05, -0.03, 0.02]), 0.01
+    found = backbone(statics, at, None, ExpectedMotion(travel, rate, np.zeros(3), time))
+
+    later = np.concatenate((WRENCH[:3] + time * rate, np.zeros(3)))
+    pushed = backbone(statics, statics.solve(JOINTS["paper"], later, near=at)).points - found.points
+    both = backbone(statics, statics.solve(JOINTS["paper"] + travel, later, near=at)).points - found.points
+    assert np.linalg.norm(pushed[-2]) > 1e-6
+    assert np.allclose(time * found.drift, pushed, atol=3e-7)
+    assert np.allclose(found.ahead, both, atol=4e-7)
+
+
+def test_drift_of_the_tip_moves_the_points_with_their_weights(statics: Statics) -> None:
+    at = statics.solve(JOINTS["paper"], WRENCH)
+    drift = np.array([0.001, 0.0, -0.002])
+    found = backbone(statics, at, None, ExpectedMotion(np.zeros(3), np.zeros(3), drift, 0.0))
+
+    assert np.allclose(found.drift[POINTS - 1], drift)
+    assert np.allclose(found.drift[0], 0.0)

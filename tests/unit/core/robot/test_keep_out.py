@@ -30,7 +30,10 @@ def brute_force(triangles: Array, point: Array) -> float:
 
 def straight(points: Array, radius: float = 0.001) -> Backbone:
     """Return tubes of one radius along points (m, 3), whose joints move each point along x, y and z."""
-    return Backbone(points, np.full(len(points), radius), np.tile(np.eye(3), (len(points), 1, 1)), len(points))
+    at_rest = np.zeros_like(points), np.zeros_like(points)
+    return Backbone(
+        points, np.full(len(points), radius), np.tile(np.eye(3), (len(points), 1, 1)), *at_rest, len(points)
+    )
 
 
 @pytest.mark.parametrize("body", [
@@ -84,6 +87,35 @@ def test_clearance_is_found_between_the_last_two_points_of_the_tubes(height: flo
 
     assert found.distance == pytest.approx(0.012 - 0.005 - 0.001, abs=3e-5)
     assert found.point[2] == pytest.approx(height, abs=6e-4)
+
+
+def test_clearance_of_a_region_in_front_of_the_tip_is_that_of_the_tip() -> None:
+    line = straight(np.array([[0.0, 0.0, z] for z in np.linspace(0.0, 0.2, 32)]))
+    found = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.212, 0.008), margin=0.001)).clearance(line)
+
+    assert found.distance == pytest.approx(0.212 - 0.2 - 0.008 - 0.001 - 0.001, abs=1e-12)
+    assert np.allclose(found.point, (0.0, 0.0, 0.2))
+
+
+@pytest.mark.parametrize(("drift", "room"), [(-0.004, 0.002 / 0.25 - 0.004), (0.004, 0.002 / 0.25), (-0.010, 0.0)])
+def test_a_load_that_pushes_toward_a_region_leaves_less_room(drift: float, room: float) -> None:
+    line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 33)]))
+    line.drift[:, 0] = drift
+    limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
+
+    assert limit.rows(Configuration(np.zeros(3), np.eye(3), line.points[-1], np.zeros(3), line))[1].min() == (
+        pytest.approx(room, rel=0.01, abs=1e-12)
+    )
+
+
+def test_motion_that_a_command_cannot_change_counts_as_travelled() -> None:
+    line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 33)]))
+    line.ahead[:, 0] = -0.0015
+    limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
+    at = Configuration(np.zeros(3), np.eye(3), line.points[-1], np.zeros(3), line)
+
+    assert limit.rows(at)[1].min() == pytest.approx(0.0005 / 0.25, rel=0.02)
+    assert limit.clearance(line).distance == pytest.approx(0.002, abs=2e-5)
 
 
 def test_rows_bound_the_approach_by_the_clearance_over_a_quarter_of_a_second() -> None:
