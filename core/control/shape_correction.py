@@ -101,7 +101,7 @@ def _weights(causes: Sequence[Cause], influence: Array, shares: Array, tip_noise
     tip, variances = influence[POINTS - 1], np.array([cause.deviation**2 for cause in causes])
     spread = variances[:, None] * tip.T
     variance: Array = tip @ spread + tip_noise**2 * np.eye(3)
-    gain: Array = np.linalg.solve(variance, spread.T).T
+    gain = np.transpose(np.asarray(np.linalg.solve(variance, spread.T), dtype=np.float64))
     return influence @ gain + shares[:, None, None] ** 2 * (np.eye(3) - tip @ gain)
 
 

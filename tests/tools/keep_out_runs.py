@@ -1,12 +1,18 @@
-"""Random motions between random obstacles: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE [SEED]]`.
+"""Random motions between obstacles or in a lumen: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE [SEED [KIND]]]`.
 
-Each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least 2 mm from the true ones,
-four random waypoints within 12 mm, and a load of up to FORCE (0.3 N) in a random direction, which rises in 5 s. The
-program prints the smallest clearance of the true tubes, less the margin of 1 mm, and how many motions ended in HOLD. A
-motion may be blocked by an obstacle, because the path is not checked before its start.
+With the KIND `spheres` each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least
+2 mm from the true ones. With the KIND `lumen` the tubes are inside a mesh of 2016 triangles around those of the start
+pose, with a radius of 6 to 12 mm that changes along the axis. Each run has four random waypoints within 12 mm, and a
+load of up to FORCE (0.3 N) in a random direction, which rises in 5 s.
+
+The program prints the smallest clearance of the true tubes, less the margin of 1 mm, and how many motions ended in
+HOLD. A motion may be blocked by a region, because the path is not checked before its start.
 """
 
 import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -15,10 +21,11 @@ from core.robot.keep_out import KeepOut
 from core.robot.robot import Array
 from station.config.loads import RampLoad
 from station.config.motions import WaypointsMotion
-from station.config.regions import SphereRegion, keep_out
+from station.config.regions import MeshRegion, RegionFile, SphereRegion, keep_out
 from station.lab.config import load_lab
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import virtual_bench
+from tests.harness.lumen_mesh import write_lumen
 from tests.harness.true_clearance import CONTROLLER, ROBOT, START, run_between, true_clearance
 
 SPHERES, DURATION_S = 3, 16.0
@@ -42,24 +49,45 @@ def random_spheres(random: np.random.Generator, bench: SimulatedBench) -> list[S
     return found
 
 
+def random_lumen(random: np.random.Generator, bench: SimulatedBench, folder: Path) -> list[MeshRegion]:
+    """Return a mesh around the tubes of the start pose; `bench` has the true tubes there."""
+    statics = CONTROLLER.controller(ROBOT).statics
+    near = backbone(statics, statics.solve(START, np.zeros(6)))
+    line = near.points[: near.along]
+    ahead, behind = line[-1] - line[-2], line[0] - line[1]
+    more = np.arange(1, 6)[:, None]
+    axis = np.vstack((line[0] + more[::-1] * behind, line, line[-1] + more * ahead))
+    while True:
+        waves = sum(random.uniform(-1.0, 1.0) * np.sin(k * np.linspace(0.0, np.pi, len(axis))) for k in range(1, 4))
+        file = folder / f"lumen{random.integers(1 << 40)}.stl"
+        write_lumen(file, axis, np.clip(random.uniform(0.007, 0.011) + 0.002 * waves, 0.006, 0.012))
+        region = MeshRegion(name="lumen", file=str(file), inside=True)
+        (limit,) = keep_out([region])
+        if min(limit.clearance(near).distance, true_clearance(bench, [limit])) > 0.001:
+            return [region]
+
+
 def main() -> None:
     """Run and print."""
     lab, runs = sys.argv[1], int(sys.argv[2])
     largest = float(sys.argv[3]) if len(sys.argv) > 3 else 0.3
     first = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-    smallest, stopped = np.inf, 0
+    kind = sys.argv[5] if len(sys.argv) > 5 else "spheres"
+    smallest, stopped, folder = np.inf, 0, Path(tempfile.mkdtemp())
     for seed in range(first, first + runs):
         random = np.random.default_rng(seed)
         bench, _ = virtual_bench(ROBOT, load_lab(lab, ROBOT), seed, START)
         assert isinstance(bench, SimulatedBench)
-        spheres = random_spheres(random, bench)
+        regions: Sequence[RegionFile] = (
+            random_lumen(random, bench, folder) if kind == "lumen" else random_spheres(random, bench)
+        )
         corners = [(4.0 * (number + 1), *random.uniform(-0.012, 0.012, 3).tolist()) for number in range(4)]
         motion = WaypointsMotion(points=((0.0, 0.0, 0.0, 0.0), *corners))
         direction = random.normal(size=3)
         load = RampLoad(
             direction=tuple(direction.tolist()), times=(1.0, 6.0), magnitudes=(0.0, random.uniform(0.0, largest))
         )
-        found = run_between(spheres, motion, DURATION_S, load, lab=lab, seed=seed)
+        found = run_between(regions, motion, DURATION_S, load, lab=lab, seed=seed)
         smallest, stopped = min(smallest, found.true), stopped + bool(found.cause)
         print(f"{seed}: true {1e3 * found.true:.3f}, recorded {1e3 * found.recorded:.3f} mm {found.cause}", flush=True)  # noqa: T201
     print(f"smallest of {runs}: {1e3 * smallest:.3f} mm; {stopped} ended in HOLD")  # noqa: T201
