@@ -94,8 +94,6 @@ def advance(history: Array, sent: Array, period: float, wait: float, moved: Arra
 #: number of stored tips; index of the newest tip; whether the observer used a tracker frame in this tick; number of
 #: frames in a row that the observer rejected.
 JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT = range(6)
-#: Largest difference between the smoothed force and the filter's state [N].
-MAX_SMOOTHING_N = 0.03
 #: Time constant with which the smoothed force approaches the filtered force [s].
 SMOOTHING_TIME_S = 30.0
 
@@ -291,10 +289,6 @@ def estimate(
         steady = new.force_filtered[i] - lag * new.force_rate[i]
         new.force_smooth[i] = old.force_smooth[i] + period * new.force_rate[i]
         new.force_smooth[i] += leak * (steady - new.force_smooth[i])
-        if new.force_smooth[i] > steady + MAX_SMOOTHING_N:
-            new.force_smooth[i] = steady + MAX_SMOOTHING_N
-        elif new.force_smooth[i] < steady - MAX_SMOOTHING_N:
-            new.force_smooth[i] = steady - MAX_SMOOTHING_N
     for i in range(3):
         along, extra_travel, by_force, by_joints, travel, extra_rate = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         model_tip[i] = with_load.tip[i]

@@ -389,9 +389,10 @@ def _pressing(
     known, along, gain = now.known, desired.direction, controller.strategy.gain
     here = (known.tip_ahead if controller.feedback.observes else tip) - memory.origin
     at = now.observed.tip - memory.origin
+    _, _, speeds, accelerations, *_ = controller.limits.packed
     contact = press(
         desired, memory.contact, force, now.loaded.compliance[:3, :3], float(along @ at),
-        agility(now.loaded.jacobian[:3], *controller.limits.packed[2:4], along), gain,
+        agility(now.loaded.jacobian[:3], speeds, accelerations, along), gain,
         controller.force_delay, controller.period,
     )  # fmt: skip
     not_by_joints = float(along @ known.load_rate + along @ known.drift)
