@@ -28,14 +28,13 @@ def exerted(recording: Recording, case: Case) -> tuple[np.ndarray, np.ndarray]:
     return of(recording.rows, "time")[:, 0], -of(recording.rows, "force_true") @ along / np.linalg.norm(along)
 
 
-@pytest.mark.parametrize("case", ["wall", "axial"])
-def test_force_does_not_oscillate_with_friction_in_the_tubes(case: str) -> None:
-    recording, chosen = ran(case, duration=12.0, lab="realistic")
+def test_force_across_the_axis_does_not_oscillate_with_friction_in_the_tubes() -> None:
+    recording, chosen = ran("wall", duration=12.0, lab="realistic")
     time, force = exerted(recording, chosen)
     late = force[time > 6.0]
 
-    assert late.mean() == pytest.approx(FORCE_N, abs=0.05)
-    assert late.std() < 0.035
+    assert late.mean() == pytest.approx(FORCE_N, abs=0.02)
+    assert late.std() < 0.02  # seeds 0 to 9: at most 0.017
 
 
 @pytest.mark.parametrize("case", ["wall", "soft", "axial"])
