@@ -142,7 +142,7 @@ def _check_motions(running: _Running, joints: Sequence[JointFile], clock: Clock)
     took = running.run(0.5 * RUN_S, velocities)
     speeds = (running.reading.positions - middle) / took
     if not running.reading.sent.all():
-        raise _Broken(f"a stage was stopped during the motion: {running.cause or 'the driver sent the velocity 0'}")
+        raise _Broken(f"a stage was stopped during the motion: {running.cause}")
     error = float(np.abs(speeds / running.reading.sent - 1.0).max())
     yield Finding("speed", error <= MAX_SPEED_ERROR, f"differs by at most {100.0 * error:.1f} % from the one sent")
     # A motion of constant acceleration, then of constant speed, is behind one at full speed by half the ramp's time.
