@@ -412,12 +412,13 @@ Motion = Annotated[TipMotion | CsvMotion | JointSweepMotion, Field(discriminator
 
 #: Bandwidth of the filters of force and deflection while the tip holds a force [Hz]. With the usual bandwidths friction
 #: in the tubes keeps up an oscillation: it reverses the forces at the sensors, and the loops follow their rate.
+#: Palpation keeps the usual bandwidths, because between its two forces the tip must not slide.
 PRESS_BANDWIDTH_HZ = 0.3
 
 
 def suited(file: ControllerFile, motion: Motion) -> ControllerFile:
     """Return the controller's settings for a motion: with `PRESS_BANDWIDTH_HZ` for a force unless another is set."""
-    if not isinstance(motion, PressMotion) or file.filter_bandwidth is not None:
+    if not isinstance(motion, ForceMotion) or file.filter_bandwidth is not None:
         return file
     return file.model_copy(update={"filter_bandwidth": PRESS_BANDWIDTH_HZ})
 

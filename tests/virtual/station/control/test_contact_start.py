@@ -32,8 +32,8 @@ def test_contact_starts_when_the_true_force_rises_and_keeps_its_time() -> None:
 
 
 def test_contact_starts_again_after_the_wall_was_lost() -> None:
-    """At 1 Hz the wall is faster than the tip, which loses it in every period."""
-    time, started, force = recorded("touch", "fast", duration=5.0)
+    """At 1 Hz and 12 mm the wall is faster than the tip, which loses it in every period."""
+    time, started, force = recorded("touch", "fast", load={"amplitude": 0.012}, duration=5.0)
     late = time > 1.0
     free = force[late] <= 0.0
     assert 0.05 < free.mean() < 0.95  # the wall really leaves the tip
