@@ -32,6 +32,8 @@ SIGMA_FLOOR_M_S = 5e-4
 #: where the tubes' curves line up, the undamped joint velocity changes its sign. Because commands arrive late, a joint
 #: would oscillate there at full speed without this damping.
 ADAPTIVE_DAMPING_M_S = 2e-4
+#: Largest singular value of J diag(speed) with which the inverse computes; larger equations are scaled down [m/s].
+MAX_SIGMA_M_S = 1e3
 
 #: Empty vector `room`, for a robot without limits that combine several joints.
 NO_BOUNDS = np.zeros(0)
@@ -160,13 +162,17 @@ def inverse_law(
     # With more joints than rows, a ridge far below the damping selects the solution near `preferred`.
     ridge = 1e-10 * sigma[0] * sigma[0] if n > size else 0.0
     damping += ridge
+    # Equations of custom loops can be so large that rounding would exceed the tolerances below. A power of two changes
+    # no digit.
+    shrink = 1.0 if sigma[0] < MAX_SIGMA_M_S else 2.0 ** -np.floor(np.log2(sigma[0]))
+    damping, ridge = damping * shrink * shrink, ridge * shrink * shrink
     normal, right = np.zeros((n, n)), np.zeros(n)
     for i in range(n):
         right[i] = ridge * preferred[i] / speed[i]
         for k in range(size):
-            right[i] += scaled[k, i] * desired[k]
+            right[i] += scaled[k, i] * shrink * (desired[k] * shrink)
             for j in range(n):
-                normal[i, j] += scaled[k, i] * scaled[k, j]
+                normal[i, j] += scaled[k, i] * shrink * (scaled[k, j] * shrink)
         normal[i, i] += damping
     for k in range(resisted.shape[0]):
         for i in range(n):

@@ -127,6 +127,20 @@ def test_joint_velocities_are_bounded_by_the_damping_near_the_aligned_pose_of_th
             assert np.linalg.norm(velocity / SPEED) <= 1e-3 / SIGMA_FLOOR_M_S * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e13, 1e100])
+def test_huge_equations_of_custom_loops_are_solved_as_exactly_as_small_ones(size):
+    jacobian = size * np.array([[0.0, 3.8, 22.7], [3.8, 3.8, 3.8], [3.8, 3.8, 3.8]])
+    desired = size * np.array([9.5, 9.5, 9.5])
+    speed = np.array([0.35, 0.35, 0.02])
+
+    found = inverse(jacobian, desired, speed, -speed, speed).velocity
+
+    exact = lsq_linear(jacobian / size * speed, desired / size, bounds=(-1.0, 1.0)).x * speed
+    assert np.linalg.norm(jacobian @ found - desired) / size == pytest.approx(
+        np.linalg.norm(jacobian @ exact - desired) / size, rel=1e-6
+    )
+
+
 def test_joint_with_zero_bounds_does_not_move():
     upper = SPEED.copy()
     upper[2] = 0.0
