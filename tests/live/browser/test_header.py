@@ -37,43 +37,6 @@ def test_page_shows_fault_for_a_dead_control_process_and_reset_restarts_it(page:
     page.locator("#act button", has_text="Home").wait_for()
 
 
-def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser: Browser) -> None:
-    with serving() as station, bare_page(browser, station) as page:
-        page.locator(".card", has_text="Keep the tip where it is").click()
-        start = page.locator("button:enabled", has_text="Start motion")
-        start.wait_for()
-        place = start.bounding_box()
-        try:
-            station.process.send_signal(signal.SIGSTOP)
-            page.wait_for_function("() => document.body.classList.contains('stale')")
-            start.click()
-            page.locator("#notes", has_text="Not started").wait_for()
-            page.locator("#silence", has_text="no data for").wait_for()
-            page.locator("#age", has_text="no data for").wait_for()
-            assert page.locator("button", has_text="Start motion").bounding_box() == place
-        finally:
-            station.process.send_signal(signal.SIGCONT)
-        page.wait_for_function("() => !document.body.classList.contains('stale')")
-        page.locator("#silence").wait_for(state="hidden")
-        station.post("/api/start", HOLD)
-        page.locator("#now").wait_for()
-        station.process.send_signal(signal.SIGSTOP)
-        try:
-            page.locator("#state", has_text="NO ANSWER").wait_for()
-            expect(page.locator("#now")).to_be_visible()
-        finally:
-            station.process.send_signal(signal.SIGCONT)
-        station.end()
-        page.locator("#state", has_text="NO ANSWER").wait_for()
-        page.locator("#silence", has_text="The station does not answer").wait_for()
-        page.locator("#next", has_text="start the station").wait_for()
-        assert page.locator("#state").evaluate(CONTRAST) >= 4.5
-        assert page.locator("#silence").evaluate(CONTRAST) >= 4.5
-        expect(page.locator("#act button:enabled")).to_have_count(0)
-        page.locator("#stop").click()
-        page.locator("#alarm", has_text="Use the emergency stop").wait_for()
-
-
 def test_nothing_looks_live_or_usable_while_the_station_does_not_answer(page: Page, station: Served) -> None:
     assert station.post("/api/start", SHORT).status_code == 202
     again = page.locator("#ended").get_by_role("button", name="Run again")
@@ -114,3 +77,40 @@ def test_busy_browser_removes_the_report_of_silence_together_with_the_state(page
         page.wait_for_function("() => state.textContent !== 'NO ANSWER' && silence.hidden && age.hidden")
     finally:
         page.evaluate("clearInterval(window.busy)")
+
+
+def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser: Browser) -> None:
+    with serving() as station, bare_page(browser, station) as page:
+        page.locator(".card", has_text="Keep the tip where it is").click()
+        start = page.locator("button:enabled", has_text="Start motion")
+        start.wait_for()
+        place = start.bounding_box()
+        try:
+            station.process.send_signal(signal.SIGSTOP)
+            page.wait_for_function("() => document.body.classList.contains('stale')")
+            start.click()
+            page.locator("#notes", has_text="Not started").wait_for()
+            page.locator("#silence", has_text="no data for").wait_for()
+            page.locator("#age", has_text="no data for").wait_for()
+            assert page.locator("button", has_text="Start motion").bounding_box() == place
+        finally:
+            station.process.send_signal(signal.SIGCONT)
+        page.wait_for_function("() => !document.body.classList.contains('stale')")
+        page.locator("#silence").wait_for(state="hidden")
+        station.post("/api/start", HOLD)
+        page.locator("#now").wait_for()
+        station.process.send_signal(signal.SIGSTOP)
+        try:
+            page.locator("#state", has_text="NO ANSWER").wait_for()
+            expect(page.locator("#now")).to_be_visible()
+        finally:
+            station.process.send_signal(signal.SIGCONT)
+        station.end()
+        page.locator("#state", has_text="NO ANSWER").wait_for()
+        page.locator("#silence", has_text="The station does not answer").wait_for()
+        page.locator("#next", has_text="start the station").wait_for()
+        assert page.locator("#state").evaluate(CONTRAST) >= 4.5
+        assert page.locator("#silence").evaluate(CONTRAST) >= 4.5
+        expect(page.locator("#act button:enabled")).to_have_count(0)
+        page.locator("#stop").click()
+        page.locator("#alarm", has_text="Use the emergency stop").wait_for()
