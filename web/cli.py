@@ -63,8 +63,8 @@ def _serve(parsed: argparse.Namespace) -> int:
     }
     changes = {key: value for key, value in given.items() if value is not None}
     options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
-    # A start creates many objects and hardly any garbage, whose collection would be a fifth of its processor time. The
-    # web server enables the collection again when it starts.
+    # Almost all objects of the start stay in use, so a garbage collection would free little and take a fifth of the
+    # processor time. The web server enables the collection again when it starts.
     with exit_on_signal() as interrupted, uncollected():
         from web.serve import serve
 

@@ -116,7 +116,7 @@ class EstimateFields(NamedTuple):
     tip_ahead: Array  #: (3,) predicted tip position when a command sent now takes effect [m]
     bias: Array  #: (3,) measured tip minus the model's tip [m]
     drift: Array  #: (3,) rate of the bias [m/s]
-    refused: Array  #: (3,) innovation (measured minus expected tip) of the latest rejected tracker frame [m]
+    refused: Array  #: (3,) measured tip minus the model's tip in the latest rejected tracker frame [m]
     bias_covariance: Array  #: (3,) variance of bias, their covariance, variance of drift [m^2, m^2/s, m^2/s^2]
     load: Array  #: (5, 3) estimate of the force at the tip, see `tip_force`
     vectors: Array  #: (22, 3) all vectors above in one matrix, one per row

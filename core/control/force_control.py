@@ -94,8 +94,8 @@ def agility(jacobian: Array, speeds: Array, accelerations: Array, direction: Arr
         direction: unit vector (3,).
 
     """
-    shares = (np.linalg.lstsq(jacobian * largest, direction, rcond=None)[0] for largest in (speeds, accelerations))
-    return Agility(*(SHARE / max(float(np.abs(share).max()), 1e-9) for share in shares))
+    joints = speeds * np.linalg.lstsq(jacobian * speeds, direction, rcond=None)[0]  # for a tip at 1 m/s
+    return Agility(*(SHARE / max(float(np.abs(joints / most).max()), 1e-9) for most in (speeds, accelerations)))
 
 
 def press(

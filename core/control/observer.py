@@ -16,8 +16,8 @@ A Kalman filter estimates b and its rate b', with one covariance for the three a
 the model's tip *at the time of the frame's measurement*, from a short history. The frame corrects the present bias
 through the measurement matrix H = [1, -age]. Without frames the covariance grows; the displayed uncertainty follows
 from this covariance. A frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier.
-After `REACQUIRE_FRAMES` rejected frames in a row that agree with each other, the observer assumes that a cause outside
-the model has moved the tip, and initialises the bias again.
+After `REACQUIRE_FRAMES` rejected frames in a row whose differences from the model agree with each other, the observer
+assumes that a cause outside the model has moved the tip, and initialises the bias again, with the rate zero.
 
 **Tip velocity from tracker frames** that the joints do not cause, X'_meas - J(q, w) q' of eqs. (28) and (29). This
 velocity is the difference quotient of two tracker frames, minus the tip motion that the joints cause between them. The
@@ -156,7 +156,7 @@ class ObserverState(NamedTuple):
     tips: Array  #: (ticks, 3) the model's tips of the last ticks, the newest at index `newest` [m]
     newest: int  #: index of the newest tip in `tips`
     used: bool  #: whether a tracker frame arrived in this tick and passed the gate
-    refused: Array  #: (3,) innovation (measured minus expected tip) of the latest rejected frame [m]
+    refused: Array  #: (3,) measured tip minus the model's tip in the latest rejected frame [m]
     in_a_row: int  #: number of frames rejected in a row
 
     @property

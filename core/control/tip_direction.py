@@ -109,7 +109,7 @@ class _DirectionFields(NamedTuple):
     bias: Array  #: (3,) bias of the arrow's head, tracker minus model [m]
     drift: Array  #: (3,) rate of this bias [m/s]
     covariance: Array  #: (3,) covariance elements of bias and drift, as in `observer.ObserverState`
-    refused: Array  #: (3,) innovation (measured minus expected head) of the latest rejected tracker frame [m]
+    refused: Array  #: (3,) measured head minus the model's head in the latest rejected tracker frame [m]
     counts: Array  #: (2,) index of the newest arrow; number of frames rejected in a row
     arrows: Array  #: (history, 3) heads of the model's arrow in the last ticks [m]
 

@@ -191,10 +191,9 @@ class FollowMotion(Strict):
         return Hold()
 
 
-class ForceMotion(Strict):
-    """Approach along a direction until contact, then hold a force; across it the tip follows a path or stays."""
+class PressMotion(Strict):
+    """A motion that presses on an obstacle along a direction."""
 
-    kind: Literal["force"] = "force"
     direction: Direction
     """direction in which the tip presses, world frame; its length does not matter"""
     force: Annotated[float, Field(gt=0.0, le=5.0)]
@@ -205,9 +204,6 @@ class ForceMotion(Strict):
     the force at the contact exceeds F by at most a half"""
     reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """largest distance of the tip from its start along the direction, both ways [m]"""
-    path: Annotated[CircleMotion | SinusoidMotion | HoldMotion, Field(discriminator="kind")] = HoldMotion()
-    """motion across the direction, for instance a circle whose normal is the direction; its part along the direction is
-    ignored"""
 
     @property
     def along(self) -> Array:
@@ -216,15 +212,39 @@ class ForceMotion(Strict):
 
     @property
     def press(self) -> Press:
-        """Desired force of the tip, and the bounds of its motion."""
+        """Largest force of the tip, and the bounds of its motion."""
         return Press(self.along, self.force, self.speed, self.reach)
+
+    def check(self, controller: Controller) -> None:
+        """Check that the controller can hold a force.
+
+        Raises:
+            DescriptionError: it has other loops, or it also gives way to the force.
+        """
+        laws = controller.strategy.laws
+        if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
+            raise DescriptionError(
+                "a motion that holds a force needs strategy 'dual_layer' with k1 = k2 above 0, inner = 'type_2' and"
+                " feedback = 'observer' or 'tracker'"
+            )
+        if controller.stiffness is not None:
+            raise DescriptionError("the motion holds a force, so remove 'stiffness' from the controller")
+
+
+class ForceMotion(PressMotion):
+    """Approach along a direction until contact, then hold a force; across it the tip follows a path or stays."""
+
+    kind: Literal["force"] = "force"
+    path: Annotated[CircleMotion | SinusoidMotion | HoldMotion, Field(discriminator="kind")] = HoldMotion()
+    """motion across the direction, for instance a circle whose normal is the direction; its part along the direction is
+    ignored"""
 
     def trajectory(self) -> Trajectory:
         """Return the trajectory that the controller tracks."""
         return Pressed(self.path.trajectory(), self.press)
 
 
-class PalpateMotion(Strict):
+class PalpateMotion(PressMotion):
     """Visit a grid of places in front of an obstacle, and press on each with two forces to measure its stiffness."""
 
     kind: Literal["palpate"] = "palpate"
@@ -246,10 +266,6 @@ class PalpateMotion(Strict):
     """time of the retreat and of the motion to the next place [s]"""
     dwell: Annotated[float, Field(ge=0.5, le=60.0)] = 3.0
     """time for each of the two forces; the first includes the approach, and the second half of each is measured [s]"""
-    speed: Annotated[float, Field(gt=0.0, le=0.05)] = 0.005
-    """largest speed of the approach to the first contact [m/s]; the motion `force` describes its other bound"""
-    reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """largest distance of the tip from its start along the direction, both ways [m]"""
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -258,16 +274,6 @@ class PalpateMotion(Strict):
         if np.linalg.norm(np.cross(self.across, self.along)) < 1e-3 * np.linalg.norm(self.across):
             raise ValueError(f"across {self.across} is parallel to direction {self.direction}")
         return self
-
-    @property
-    def along(self) -> Array:
-        """Direction in which the tip presses (3,), unit vector."""
-        return np.array(self.direction) / np.linalg.norm(self.direction)
-
-    @property
-    def press(self) -> Press:
-        """Largest force of the tip, and the bounds of its motion."""
-        return Press(self.along, self.force, self.speed, self.reach)
 
     @property
     def grid(self) -> tuple[tuple[int, int], ...]:
@@ -287,26 +293,6 @@ class PalpateMotion(Strict):
         places = tuple(tuple(self.place(row, column).tolist()) for row, column in self.grid)
         light = self.press._replace(force=self.light)
         return Palpation(places, light, self.press, self.travel, self.dwell)
-
-
-#: Motions that hold a force.
-PressMotion = ForceMotion | PalpateMotion
-
-
-def check_press(motion: PressMotion, controller: Controller) -> None:
-    """Check that the controller can hold a force.
-
-    Raises:
-        DescriptionError: it has other loops, or it also gives way to the force.
-    """
-    laws = controller.strategy.laws
-    if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
-        raise DescriptionError(
-            f"{motion.kind}: the motion needs strategy 'dual_layer' with k1 = k2 above 0, inner = 'type_2' and feedback"
-            " = 'observer' or 'tracker'"
-        )
-    if controller.stiffness is not None:
-        raise DescriptionError(f"{motion.kind}: the motion holds a force, so remove 'stiffness' from the controller")
 
 
 class CsvMotion(Strict):
@@ -464,7 +450,7 @@ class Orders:
         """
         controller.check_loops(start)
         if isinstance(self._motion, PressMotion):
-            check_press(self._motion, controller)
+            self._motion.check(controller)
         if isinstance(self._motion, JointSweepMotion):
             self._motion.check(start, controller.statics, controller.limits)
         elif self._trajectory is not None:

@@ -5,16 +5,17 @@ prefix `true_` are those of the virtual lab.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from core.robot.robot import Array
 from station.config.loads import Obstacle, SphereLoad, WallLoad, elastic_force
 from station.config.motions import ForceMotion, PalpateMotion, PressMotion
-from station.config.strict import check
+from station.config.strict import Strict, check
 from station.recording.run_outcome import rms, rounded
 
+T = TypeVar("T", bound=Strict)
 #: Distance between two points of the line along which the true stiffness is computed [m].
 LINE_STEP_M = 1e-5
 MOTIONS: Mapping[str, type[PressMotion]] = {"force": ForceMotion, "palpate": PalpateMotion}
@@ -27,9 +28,7 @@ def press_of(settings: Mapping[str, Any]) -> PressMotion | None:
     Raises:
         ConfigError: the settings are invalid.
     """
-    table = settings.get("trajectory") or {}
-    motion = MOTIONS.get(table.get("kind", ""))
-    return None if motion is None else check(motion, table, "trajectory")
+    return _of_kind(settings, "trajectory", MOTIONS)
 
 
 def obstacle_of(settings: Mapping[str, Any]) -> Obstacle | None:
@@ -38,9 +37,13 @@ def obstacle_of(settings: Mapping[str, Any]) -> Obstacle | None:
     Raises:
         ConfigError: the settings are invalid.
     """
-    table = settings.get("load") or {}
-    obstacle = OBSTACLES.get(table.get("kind", ""))
-    return None if obstacle is None else check(obstacle, table, "load")
+    return _of_kind(settings, "load", OBSTACLES)
+
+
+def _of_kind(settings: Mapping[str, Any], key: str, kinds: Mapping[str, type[T]]) -> T | None:
+    table = settings.get(key) or {}
+    chosen = kinds.get(table.get("kind", ""))
+    return None if chosen is None else check(chosen, table, key)
 
 
 def desired_force(motion: PressMotion, times: Array) -> Array:

@@ -113,7 +113,7 @@ class RunOut(Strict):
     load: str
     """load on the simulated tip; empty: none, or attached by hand"""
     desired_force: Vector | None
-    """force that the tip shall exert on an obstacle, world frame [N]; null: the motion is not of kind `force`"""
+    """largest force that the tip shall exert on an obstacle, world frame [N]; null: the motion does not press"""
     recorded: bool
     """whether the run has, or will have, a recording; a motion to a pose has no recording"""
     recording: bool

@@ -15,7 +15,8 @@ from tests.live.browser.test_accessibility import SIZES, violations
 
 FORCE_N = 0.2
 WALL = {"kind": "wall", "direction": [-1.0, 0.0, 0.0], "distance": 0.004, "stiffness": 1000.0}
-PRESS = {"trajectory": {"kind": "force", "direction": [1.0, 0.0, 0.0], "force": FORCE_N}, "duration": 600.0}
+MOTION = {"kind": "force", "direction": [1.0, 0.0, 0.0], "force": FORCE_N}
+PRESS = {"trajectory": MOTION, "duration": 600.0}
 #: JavaScript that returns the angle of a dial's needle from up, clockwise [deg].
 NEEDLE = """dial => { const { transform } = getComputedStyle(dial.querySelector(".needle"));
   const { a, b } = new DOMMatrix(transform); return Math.atan2(b, a) * 180 / Math.PI; }"""
@@ -137,7 +138,7 @@ def test_force_above_its_bound_is_refused_by_form_and_station(station: Served, j
     field.fill("0.7")
     page.locator("#press button.main").click()
     assert field.evaluate("field => field.matches(':invalid')")
-    refused = station.post("/api/start", {"trajectory": {**PRESS["trajectory"], "force": 0.7}})  # type: ignore[dict-item]
+    refused = station.post("/api/start", {"trajectory": MOTION | {"force": 0.7}})
     assert refused.status_code == 422
     assert "0.7 N is above 0.624 N" in refused.json()["error"]
     assert station.status()["state"] == "READY"

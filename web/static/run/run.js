@@ -176,10 +176,11 @@ function controllerForm(all, values = rig.controller, yields = true) {
 }
 
 function motion(kind, schema, all, values = {}) {
-  const path = form(kind === "force" ? withMaximum(schema, "force", rig.max_desired_force) : schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
+  const holdsForce = ["force", "palpate"].includes(kind);
+  const path = form(holdsForce ? withMaximum(schema, "force", rig.max_desired_force) : schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
   // Only the virtual lab can apply a load; on a real rig a person attaches it.
   const load = rig.virtual ? union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
-  const control = controllerForm(all, values.controller, kind !== "force");
+  const control = controllerForm(all, values.controller, !holdsForce);
   const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
   const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
   blockedReason = missingTarget(kind);

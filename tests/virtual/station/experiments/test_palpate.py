@@ -49,7 +49,7 @@ def test_tip_that_finds_no_obstacle_gives_no_stiffness() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"controller": {"inner": "type_1"}}, "palpate: the motion needs strategy"),
+        ({"controller": {"inner": "type_1"}}, "a motion that holds a force needs strategy"),
         ({"trajectory": {"light": 0.3}}, "force 0.2 N must be greater than light 0.3 N"),
         ({"trajectory": {"across": [2.0, 0.0, 0.0]}}, "is parallel to direction"),
     ],

@@ -86,7 +86,7 @@ def test_force_figure_of_a_bench_has_no_true_force(synthetic_case):
     assert "true" not in drawn.caption + drawn.alt
 
 
-def test_other_motions_have_no_force_figure_of_a_press(synthetic_case):
+def test_report_of_a_motion_without_a_press_has_no_figure_of_a_held_force(synthetic_case):
     assert list(force_figures.presses(RecordedRun(Path("x"), "own", {}, {}, (synthetic_case(),)))) == []
 
 
