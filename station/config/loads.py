@@ -354,6 +354,13 @@ class WallLoad(_Obstacle):
     lump_radius: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
     """distance from the center at which the additional stiffness has decreased to 1 / e [m]"""
 
+    @property
+    def without_effect(self) -> frozenset[str]:
+        """Keys without effect: those of the motion of a wall at rest, and those of a missing lump."""
+        motion = {"motion", "amplitude", "frequency"} if self.amplitude == 0.0 else set[str]()
+        lump = {"lump_stiffness", "lump_center", "lump_radius"} if self.lump_stiffness == 0.0 else set[str]()
+        return frozenset(motion | lump)
+
     def displacement(self, time: float) -> float:
         """Return the displacement of the wall along its normal [m] at `time` [s] since the motion's start."""
         turns = self.frequency * max(time, 0.0)

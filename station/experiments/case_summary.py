@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from station.config.controllers import ControllerFile
-from station.config.loads import Load, NoLoad
+from station.config.loads import Load, NoLoad, WallLoad
 from station.config.motions import JointSweepMotion, WaypointsMotion
 from station.config.robots import RobotFile
 from station.config.strict import Strict
@@ -90,7 +90,8 @@ def describe_keys(model: Strict, *, turns: bool = True) -> str:
         count = len(model.points)
         text = f"{count} point{'s' * (count > 1)} in {format_quantity(model.points[-1][0], 's')}"
         return f"waypoints: {text}, up to {format_quantity(reach, 'm')} from the start"
-    keys = tuple(key for key in type(model).model_fields if key != "kind")
+    unused = model.without_effect if isinstance(model, WallLoad) else ()
+    keys = tuple(key for key in type(model).model_fields if key != "kind" and key not in unused)
     parts = ", ".join(_parts(model, keys, turns=turns))
     kind = _words(str(getattr(model, "kind", "")))
     return f"{kind}: {parts}" if parts else kind

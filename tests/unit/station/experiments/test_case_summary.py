@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad
+from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad, WallLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
 from station.experiments.case_summary import case_facts, describe_keys, load_windows, motion_title, window_name
@@ -53,6 +53,15 @@ def test_title_of_a_free_motion_has_the_values_that_differ_from_their_defaults()
 )
 def test_the_case_summary_shows_motion_load_and_fault_with_numbers_and_units(model: Strict, text: str):
     assert describe_keys(model) == text
+
+
+def test_summary_of_a_wall_shows_only_keys_that_have_an_effect():
+    at_rest, moving = describe_keys(WallLoad()), describe_keys(WallLoad(amplitude=0.005, lump_stiffness=200.0))
+
+    for word in ("amplitude", "frequency", "lump"):
+        assert word not in at_rest
+        assert word in moving
+    assert "stiffness 1000 N/m" in at_rest
 
 
 def test_the_case_summary_shows_the_sweep_of_a_translation_joint_in_millimetres():
