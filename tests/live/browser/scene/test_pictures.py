@@ -16,7 +16,7 @@ DEMO = {"experiment": "demo"}  # this run first moves the robot to its start pos
 #: A text that each tab must contain.
 SAYS = {
     "start": "Free motions, from the current pose",
-    "jog": "The robot moves while a button is held",
+    "jog": "The robot moves while you hold a button",
     "devices": "Does every axis move in the right direction?",
     "plots": "drag to zoom",
     "runs": "demo",
