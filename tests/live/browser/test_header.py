@@ -10,7 +10,9 @@ from tests.harness.serving import Served, serving
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 DASH = "\N{EN DASH}"  # where the page has no current value
-SHORT = {"trajectory": {"kind": "hold"}, "duration": 0.5}
+#: A short run whose title no other run has.
+SHORT = {"trajectory": {"kind": "sinusoid", "amplitude": 7e-4, "frequency": 1.0}, "duration": 0.5}
+IN_ITS_TITLE = "0.7 mm"
 #: The browser itself is busy, as with drawing the scene without a graphics card: each timer is late by 0.6 s.
 BUSY = """() => {
     window.busy = setInterval(() => { const end = performance.now() + 600; while (performance.now() < end); }, 10);
@@ -39,7 +41,7 @@ def test_page_shows_fault_for_a_dead_control_process_and_reset_restarts_it(page:
 
 def test_nothing_looks_live_or_usable_while_the_station_does_not_answer(page: Page, station: Served) -> None:
     assert station.post("/api/start", SHORT).status_code == 202
-    again = page.locator("#ended").get_by_role("button", name="Run again")
+    again = page.locator("#ended", has_text=IN_ITS_TITLE).get_by_role("button", name="Run again")
     again.wait_for()
     station.rest.delete("/api/operator")
     for width, height in ((1440, 900), (390, 844)):

@@ -41,10 +41,11 @@ def pressing(station: Served, load: dict[str, Any]) -> None:
 
 
 def started(page: Page, button: Locator) -> dict[str, Any]:
-    """Press a button that starts a run; return the request."""
+    """Press a button that starts a run, and wait until it runs; return the request."""
     sent: list[Any] = []
     page.on("request", lambda request: sent.append(request.post_data_json) if "/api/start" in request.url else None)
     press_until_sent(page, button.click)
+    page.locator("#state", has_text="RUNNING").wait_for()
     return sent[-1]
 
 
