@@ -22,15 +22,18 @@ ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second value, the direction,
 def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page: Page, station: Served) -> None:
     page.wait_for_function(EMPTY, arg=ERROR)  # without a desired path there is no error
     page.wait_for_function(NUMBER, arg=FORCE)
+    place = page.locator("#strip").bounding_box()
     started = station.post("/api/start", HELD)
     assert started.status_code == 202, started.text
     station.rest.delete("/api/operator")
     for cell in (ERROR, FORCE, DEFLECTION):
         page.wait_for_function(NUMBER, arg=cell)
     page.wait_for_function(f"(nth) => /^[0-9]+:[0-9]{{2}}$/.test(({CELL})(nth))", arg=LEFT)
-    name = page.locator("#strip span").first
-    expect(name).to_have_text(re.compile(r"^true error · tracker\serror\s[0-9.]+\smm$"))
-    assert name.evaluate("name => name.scrollWidth <= name.clientWidth")
+    expect(page.locator("#strip span").first).to_have_text("true error")
+    note = page.locator("#strip > div").first.locator("span").last
+    expect(note).to_have_text(re.compile(r"^tracker\serror [0-9.]+\smm$"))
+    assert note.evaluate("note => note.scrollWidth <= note.clientWidth")
+    assert page.locator("#strip").bounding_box() == place
     expect(page.locator("#tip p")).to_have_text(re.compile(r"^tracker error [0-9.]+ mm$"))
     expect(page.locator("#now .chart-head").first).to_have_text(re.compile(r"Error \[mm\]tracker error .*true error "))
     station.post("/api/stop")

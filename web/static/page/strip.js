@@ -20,33 +20,38 @@ function timeLeft() {
 }
 
 /** Return the addition to the error's name in a run that follows a target. */
-const ofTarget = (sample) => (follows(sample) ? (sample.target_visible ? " off target" : ", target not seen") : "");
-/** Return the error by the tracker as an addition to the true one, which only a virtual lab knows; empty without a motion. */
-const byTracker = (sample) => { const size = sample && length(error(sample, "tip_measured")); return size ? ` · tracker\u00a0error\u00a0${size.toFixed(2)}\u00a0mm` : ""; };
+const ofTarget = (sample) => (follows(sample) ? " off target" : "");
+/** Return the line below the error: a target that is not visible, or the tracker error beside the true one, which only a virtual lab knows. */
+function belowError(sample) {
+  if (follows(sample) && !sample.target_visible) return "target not seen";
+  const size = sample && reference(sample) === "true" ? length(error(sample, "tip_measured")) : null;
+  return size === null ? "" : `tracker\u00a0error ${size.toFixed(2)}\u00a0mm`;
+}
 /** Whether the bench has no force sensors, so that the force is estimated from the deflection of the tip. */
 const byDeflection = (sample) => sample?.trouble?.[2] === -1 && sample.force_filtered !== null;
 /** Whether the bench has a tracker that does not measure the tip now: a deflection would look as if it were measured. */
 const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured;
 const fixed = (digits) => (value) => value.toFixed(digits);
-/** Quantity with a colour on the page, name, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
+/** Quantity with a colour on the page, name, line below the value, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { quantity: "error", name: (sample) => (reference(sample) === "true" ? `true error${ofTarget(sample)}${byTracker(sample)}` : `tracker error${ofTarget(sample)}`), unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
+  { quantity: "error", name: (sample) => `${reference(sample) === "true" ? "true" : "tracker"} error${ofTarget(sample)}`, below: belowError, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
   { quantity: "force", name: (sample) => (byDeflection(sample) ? "force, est." : "force"), unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
   { name: () => "deflection", unit: "mm", value: (s) => (s && !isTipLost(s) ? length(s.deflection_filtered, 1e3) : null), text: fixed(1), none: "needs a measured tip and force sensors that measure" },
   { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running" },
-].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output") }));
+].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output"), note: cell.below && make("span", { className: "dim" }) }));
 
 const helpMark = (section) => button("?", () => document.dispatchEvent(new CustomEvent("help", { detail: section })), { className: "help-mark", "aria-label": "explain true and tracker" });
-for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown, cell.help ? helpMark(cell.help) : null));
+for (const cell of CELLS) $("strip").append(cell.element = make("div", { hidden: Boolean(cell.optional) }, cell.label, cell.shown, cell.help ? helpMark(cell.help) : null, cell.note ?? null));
 
 /** Show the values. Old ones turn grey at once and disappear after a second, so that a busy computer does not blank them. */
 function show() {
   const sample = isSilent() ? null : latestSample(SILENT_AFTER_S), old = stale || latestSample() === null;
-  for (const { name, unit, value, text, none, optional, element, label, shown } of CELLS) {
+  for (const { name, below, note, unit, value, text, none, optional, element, label, shown } of CELLS) {
     const now = value(sample) ?? null;
     if (optional) element.hidden = now === null; // no direction is desired
     label.textContent = name(sample);
+    if (note) setText(note, below(sample));
     setText(shown, now === null ? "–" : `${text(now)}${unit && ` ${unit}`}`);
     shown.title = now === null ? none : "";
     shown.classList.toggle("old", old);
