@@ -38,7 +38,7 @@ def experiment(station: Served, page: Page) -> None:
     def moved() -> bool:
         # One jog lasts 0.3 s, of which a busy control loop may use only a part.
         station.post("/api/jog", {"space": "joints", "velocity": [0.3, 0.0, 0.0]})
-        return abs(station.status()["joints"]["outer_rotation"]) > 0.03
+        return station.status()["joints"]["outer_rotation"] > 0.03  # signed: the jog must not end at zero
 
     until(moved)
     station.rest_of_joints()  # the last jog has ended
