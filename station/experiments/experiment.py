@@ -39,6 +39,8 @@ from station.config.strict import (
 from station.control.bench_calibration import BenchCalibration
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.cameras import CalibratedView
+from station.experiments import checked_motions
+from station.experiments.checked_motions import digest
 from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.faults import LabFault, check_faults
 from station.recording.run_outcome import counted_from
@@ -160,12 +162,15 @@ def load_experiment(
     if only is not None and only not in variations:
         raise ConfigError(f"--case {only}: the cases are {', '.join(variations)}")
     cases: list[Case] = []
-    checked: dict[str, tuple[str, ...]] = {}
+    saved = checked_motions.read() if check_motions and not changes and path.is_relative_to(PRESETS) else None
+    checked = dict(saved or {})
     for case, variation in variations.items():
         if only not in (None, case):
             continue
         changed = _at_working_pose(path, merged(table, variation), changes or {})
         cases.append(_case(path, case, changed, table, checked if check_motions else None))
+    if saved is not None and checked != saved:
+        checked_motions.write(checked)
     return Experiment(path.stem, str(table.get("title", "")), tuple(cases), paper, table.text)
 
 
@@ -282,14 +287,14 @@ def _case(
         described = Case(name, file, robot, lab, controller, orders, start, registration, views=views)
         if checked is None:
             return described
-        motion = repr(
-            (file.robot, file.calibration, settings, file.start, file.trajectory, file.duration, file.keep_out)
+        motion = digest(
+            repr((robot, lab.present, file.calibration, settings, file.start, file.trajectory, file.duration, file.keep_out))
         )
         if motion not in checked:
             orders.check(controller, start, file.duration)
             checked[motion] = ()
         if isinstance(controller.strategy.outer, PositionMode) and file.load.changes:
-            motion += repr(file.load)
+            motion = digest(motion + repr(file.load))
             if motion not in checked:
                 checked[motion] = load_warnings(orders, controller, start, file.duration, file.load)
     except CtrError as error:

@@ -1,0 +1,53 @@
+"""Checked motions in the user's cache: used while the package is unchanged, otherwise without effect."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from station.experiments import checked_motions
+from station.experiments.experiment import load_experiment
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the path of a cache that does not exist yet."""
+    monkeypatch.setattr(checked_motions, "FILE", path := tmp_path / "cache" / "checked-motions.json")
+    return path
+
+
+def warnings() -> set[str]:
+    return {text for case in load_experiment("fig3").cases for text in case.warnings}
+
+
+def changed(file: Path, **parts: object) -> None:
+    file.write_text(json.dumps(json.loads(file.read_text()) | parts))
+
+
+def test_motion_that_was_checked_before_is_read_from_the_cache(file: Path) -> None:
+    assert warnings() == set()
+    keys = json.loads(file.read_text())["motions"]
+    changed(file, motions=dict.fromkeys(keys, ["warning of an earlier check"]))
+    assert warnings() == {"warning of an earlier check"}
+    load_experiment("demo")
+    assert json.loads(file.read_text())["motions"].keys() > keys.keys()  # the others are kept
+
+
+@pytest.mark.parametrize("damage", ["another version", "half", "no file", "folder"])
+def test_cache_without_use_costs_only_another_check(file: Path, damage: str) -> None:
+    warnings()
+    changed(file, motions=dict.fromkeys(json.loads(file.read_text())["motions"], ["warning of an earlier check"]))
+    if damage == "another version":
+        changed(file, fingerprint="another")
+    elif damage == "half":
+        file.write_text(file.read_text()[:50])
+    else:
+        file.unlink()
+        if damage == "folder":
+            file.mkdir()  # it can be neither read nor replaced
+    assert warnings() == set()
+
+
+def test_experiment_with_changes_is_checked_without_the_cache(file: Path) -> None:
+    load_experiment("fig3", {"duration": 5.0})
+    assert not file.exists()
