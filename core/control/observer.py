@@ -49,6 +49,7 @@ class FilteredRate(NamedTuple):
 #: Results of `steady_gain` for the period [s] and the bandwidths [Hz] of the presets: importing filterpy, and with it
 #: scipy.stats, takes a quarter of the processor time of a station's start.
 USUAL_GAINS = {
+    (0.002, 0.3): (0.005317272533449318, 0.007087197450309125),
     (0.002, 1.0): (0.01761454939670001, 0.07825835113622626),
     (0.002, 10.0): (0.16281926682410866, 7.224359426340568),
 }
