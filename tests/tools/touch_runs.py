@@ -1,15 +1,18 @@
 """Measure how well the tip holds a force, over seeds of the lab, beside the best possible on moving walls.
 
-`python -m tests.tools.touch_runs LAB [CASE ...] [--seeds 10]`
+`python -m tests.tools.touch_runs LAB [CASE ...] [--seeds 10] [--calibrated]`
 
 LAB is `gentle` or `realistic`; CASE is a case of the experiment `touch`. The output is one line per run: mean and RMS
 error of the true force [mN], largest force [N], share of the time without contact [%], and RMS error of the tip across
 the direction [mm], from 6 s after the start. For a wall that moves, a line has the errors [mN] that no controller can
-avoid: it knows the wall in advance, and has only the joints' speed and acceleration as limits.
+avoid: it knows the wall in advance, and has only the joints' speed and acceleration as limits. With `--calibrated` the
+bench of each seed is first calibrated by itself.
 """
 
 import argparse
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +23,7 @@ from station.control.clock import VirtualClock
 from station.experiments.best_possible import LoadCourse, best_path
 from station.experiments.experiment import Case, load_experiment
 from station.experiments.runner import run_case
+from tests.tools.calibrated_runs import write
 
 #: Time after which errors count, also of the best possible [s].
 FROM_S, BOUND_FROM_S, BOUND_UNTIL_S = 6.0, 1.0, 3.0
@@ -27,16 +31,24 @@ CASES = ("wall", "soft", "axial", "moving", "fast", "circle")
 
 
 class Run(NamedTuple):
-    """One run: the case's name, the lab and the seed."""
+    """One run: the case's name, the lab, the seed, and the folder of its calibration (empty: uncalibrated)."""
 
     case: str
     lab: str
     seed: int
+    calibration: str = ""
 
 
 def chosen(run: Run) -> Case:
     """Return the case of a run."""
-    return load_experiment("touch", {"lab": run.lab}, only=run.case).cases[0]
+    return load_experiment("touch", {"lab": run.lab, "calibration": run.calibration}, only=run.case).cases[0]
+
+
+def calibrated(folder: str, lab: str, seed: int) -> str:
+    """Calibrate the bench of a seed; return the folder of the calibration."""
+    Path(folder).mkdir()
+    write(Path(folder), lab, seed)
+    return folder
 
 
 def measured(run: Run) -> str:
@@ -80,12 +92,17 @@ def main() -> None:
     parser.add_argument("lab", choices=("gentle", "realistic"))
     parser.add_argument("case", nargs="*", default=CASES)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--calibrated", action="store_true", help="calibrate the bench of each seed first")
     wanted = parser.parse_args()
     for name in wanted.case:
         if chosen(Run(name, wanted.lab, 0)).file.load.amplitude:
             print(best(Run(name, wanted.lab, 0)), flush=True)  # noqa: T201
-    with ProcessPoolExecutor() as pool:
-        runs = [Run(name, wanted.lab, seed) for name in wanted.case for seed in range(wanted.seeds)]
+    with ProcessPoolExecutor() as pool, tempfile.TemporaryDirectory() as where:
+        seeds, folders = range(wanted.seeds), [""] * wanted.seeds
+        if wanted.calibrated:
+            own = [str(Path(where, str(seed))) for seed in seeds]
+            folders = list(pool.map(calibrated, own, [wanted.lab] * wanted.seeds, seeds))
+        runs = [Run(name, wanted.lab, seed, folders[seed]) for name in wanted.case for seed in seeds]
         for line in pool.map(measured, runs):
             print(line, flush=True)  # noqa: T201
 
