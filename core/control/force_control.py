@@ -32,7 +32,7 @@ from core.robot.robot import Array
 #: Product of the crossover frequency and the delay [rad].
 CROSSOVER_DELAY = 0.45
 #: Rate of the integral, as a fraction of the crossover frequency.
-RESET = 0.2
+RESET = 0.4
 #: Largest excess of the force at the contact, as a fraction of the desired force.
 OVERSHOOT = 0.5
 #: Fraction of the desired force below which the tip has no contact.
