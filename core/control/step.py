@@ -325,7 +325,8 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     if isinstance(order, Setpoint):
         followed = order
         if controller.stiffness is not None:
-            order, followed, offset = _yielding(controller, controller.stiffness, memory, now, force, tip, order)
+            stiffness = order.stiffness or controller.stiffness
+            order, followed, offset = _yielding(controller, stiffness, memory, now, force, tip, order)
         if order.press is not None:
             order, followed, contact = _pressing(controller, memory, now, force, tip, order.press, followed)
         tasks, null_space = list(controller.tasks), None
@@ -411,9 +412,12 @@ def _yielding(
     The loops multiply the remaining distance by k1. Where contact allows less, the setpoint for the loops is nearer.
     """
     feedback, gain = controller.feedback, controller.strategy.gain
-    rates = stiffness.rates(now.loaded.compliance[:3, :3], gain, controller.force_delay)
-    offset = stiffness.update(memory.offset, force, rates, controller.period)
-    order = order._replace(position=order.position + offset.position, velocity=order.velocity + offset.velocity)
+    rotation = now.loaded.rotation
+    rates = stiffness.rates(now.loaded.compliance[:3, :3], rotation, gain, controller.force_delay)
+    offset = stiffness.update(memory.offset, force, rotation, rates, controller.period)
+    order = order._replace(
+        position=order.position + offset.position, velocity=order.velocity + offset.velocity, stiffness=stiffness
+    )
     here = (now.known.tip_ahead if feedback.observes else tip) - memory.origin
     ahead = feedback.lead_time * order.velocity
     nearer = here + rates.gain @ (order.position + ahead - here) / gain - ahead

@@ -18,11 +18,20 @@ force to the joints, the loop of force and setpoint is
 It crosses 1 near r w for k <= w, and r w T <= `MAX_CROSSOVER_DELAY` leaves enough phase margin. So both the rate w and
 the gain k of each eigenvector are at most `MAX_CROSSOVER_DELAY` / (r T). The tubes are stiffest along their axis; there
 the tip returns to its setpoint slowly. A stiffness that would need a gain below `MIN_GAIN_PER_S` is refused.
+
+**Axes.** The three values of a stiffness are along the axes of the world frame, or along those of the tip. The frame of
+the tip is that of the loaded model: z is the tangent at the tip, and x and y are fixed in the innermost tube. If this
+tube is straight and at rotation 0, they are the axes x and y of the front plate. K_d^-1 turns with this frame in every
+tick.
+
+**Changes.** While a motion runs, `StiffnessRamp` changes the compliance linearly within `RAMP_S`. The setpoint then
+moves by the force times the change of the compliance, within the bounds above. The largest eigenvalue of K_d^-1 K_n is
+a convex function of the compliance, so no stiffness in between is softer than the softer end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -40,6 +49,11 @@ MIN_GAIN_PER_S = 0.1
 STAGES_LAG_S = 0.02
 #: Largest speed of the offset [m/s], the default bound of streamed setpoints.
 MAX_SPEED_M_S = 0.02
+#: Time in which the stiffness changes while a motion runs [s]. It is longer than the delays of force and stages.
+RAMP_S = 1.0
+
+#: Frame along whose axes a stiffness is given.
+StiffnessFrame = Literal["world", "tip"]
 
 
 class Offset(NamedTuple):
@@ -63,8 +77,9 @@ class Rates(NamedTuple):
 class TipStiffness:
     """Desired stiffness of the tip."""
 
-    axes: tuple[float, float, float]  #: stiffness along the axes of the world frame [N/m]
+    axes: tuple[float, float, float]  #: stiffness along the axes of `frame` [N/m]
     max_offset: float = 0.02  #: largest offset of the setpoint [m]
+    frame: StiffnessFrame = "world"
 
     def __post_init__(self) -> None:
         for axis, value in zip("xyz", self.axes, strict=True):
@@ -73,33 +88,39 @@ class TipStiffness:
 
     @cached_property
     def compliance(self) -> Array:
-        """Desired compliance of each axis (3,) [m/N]."""
+        """Desired compliance along each axis (3,) [m/N]."""
         return 1.0 / np.array(self.axes)
 
     @cached_property
     def _root(self) -> Array:
         return np.sqrt(self.compliance)
 
-    def softness(self, natural: Array) -> tuple[Array, Array]:
+    def softness(self, natural: Array, tip: Array) -> tuple[Array, Array]:
         """Return eigenvalues r (3,), increasing, and eigenvectors of K_d^-1 K_n, made symmetric by the root of K_d^-1.
 
-        `natural` (3, 3) is the compliance of the tubes in this pose, K_n^-1 [m/N].
+        `natural` (3, 3) is the compliance of the tubes in this pose, K_n^-1, in the world frame [m/N]. `tip` (3, 3) is
+        the frame of the tip. The eigenvectors are in `frame`.
         """
+        if self.frame == "tip":
+            natural = tip.T @ natural @ tip
         stiffness = np.linalg.inv(0.5 * (natural + natural.T))
         return np.linalg.eigh(self._root[:, None] * stiffness * self._root)
 
-    def rates(self, natural: Array, gain: float, delay: float) -> Rates:
+    def rates(self, natural: Array, tip: Array, gain: float, delay: float) -> Rates:
         """Return the rates that are stable in contact.
 
         Args:
-            natural: compliance of the tubes in this pose (3, 3) [m/N].
+            natural: compliance of the tubes in this pose (3, 3), world frame [m/N].
+            tip: frame of the tip (3, 3).
             gain: gain k of the outer loop in free motion [1/s].
             delay: delay T from a force to the joints [s].
 
         """
-        softness, vectors = self.softness(natural)
+        softness, vectors = self.softness(natural, tip)
         rates = MAX_CROSSOVER_DELAY / delay / np.maximum(softness, 1e-9)
         scaled, back = self._root[:, None] * vectors, vectors.T / self._root
+        if self.frame == "tip":
+            scaled, back = tip @ scaled, back @ tip.T
         return Rates((scaled * np.minimum(rates, MAX_RATE_PER_S)) @ back, (scaled * np.minimum(rates, gain)) @ back)
 
     def check(self, at: PartsReader, delay: float) -> None:
@@ -109,7 +130,7 @@ class TipStiffness:
             DescriptionError: the stiffness is too low; the text has the factor by which it must be increased.
 
         """
-        softness = float(self.softness(at.part("compliance")[:3, :3])[0][-1])
+        softness = float(self.softness(at.part("compliance")[:3, :3], at.part("rotation"))[0][-1])
         most = MAX_CROSSOVER_DELAY / (MIN_GAIN_PER_S * delay)
         if softness > most:
             values = ", ".join(f"{value:g}" for value in self.axes)
@@ -119,12 +140,33 @@ class TipStiffness:
                 f" {softness / most:.2g} or more"
             )
 
-    def update(self, last: Offset, force: Array, rates: Rates, period: float) -> Offset:
-        """Return the offset one `period` [s] after `last` under the estimated `force` (3,) [N]."""
-        goal = _shortened(self.compliance * force, self.max_offset)
+    def update(self, last: Offset, force: Array, tip: Array, rates: Rates, period: float) -> Offset:
+        """Return the offset one `period` [s] after `last`.
+
+        `force` (3,) is the estimated force on the tip [N], and `tip` (3, 3) the frame of the tip.
+        """
+        goal = tip @ (self.compliance * (tip.T @ force)) if self.frame == "tip" else self.compliance * force
+        goal = _shortened(goal, self.max_offset)
         velocity = _shortened(rates.filter @ (goal - last.position), MAX_SPEED_M_S)
         position = _shortened(last.position + period * velocity, self.max_offset)
         return Offset(position, (position - last.position) / period)
+
+
+class StiffnessRamp(NamedTuple):
+    """Change of the stiffness within `RAMP_S`; both have the same frame."""
+
+    first: TipStiffness
+    last: TipStiffness
+    start: float  #: time of the start [s]
+
+    def at(self, time: float) -> TipStiffness:
+        """Return the stiffness at `time` [s]; its compliance changes linearly."""
+        done = (time - self.start) / RAMP_S
+        if done >= 1.0:
+            return self.last
+        compliance = (1.0 - done) * self.first.compliance + done * self.last.compliance
+        x, y, z = (1.0 / compliance).tolist()
+        return replace(self.last, axes=(x, y, z))
 
 
 def _shortened(vector: Array, longest: float) -> Array:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 
 from core.control.force_control import Press
+from core.control.stiffness import TipStiffness
 from core.errors import DescriptionError
 from core.robot.robot import Array, positive
 
@@ -28,6 +29,7 @@ class Setpoint(NamedTuple):
     direction: Array | None = None  #: (3,) desired direction of the tip, unit vector; None keeps the start direction
     turning: Array = ZERO_VELOCITY  #: (3,) angular velocity of the desired direction [rad/s]
     press: Press | None = None  #: force that the tip shall exert; along its direction the position is not controlled
+    stiffness: TipStiffness | None = None  #: present stiffness of the tip; None: that of the controller, if it has one
 
 
 class JointMotion(NamedTuple):

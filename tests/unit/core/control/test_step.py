@@ -126,6 +126,30 @@ def test_tip_with_a_stiffness_gives_way_by_force_over_stiffness_and_returns(pape
     assert max(np.linalg.norm(tick.memory.offset.position) for tick in ticks) < 0.006
 
 
+def test_tip_gives_way_along_its_own_axis_by_force_over_stiffness(paper_robot):
+    """The exact rod has its own frame of the tip, 32 deg from the world's z here."""
+    stiffness, plant = (60.0, 40.0, 400.0), Plant(paper_robot)
+    unit = replace(controller(paper_robot), stiffness=TipStiffness(stiffness, frame="tip"))
+    axis = plant.rod.solve(plant.joints, np.zeros(6)).rotation[:, 2]
+    assert axis[2] < 0.86
+    _, tips = run(unit, plant, 6.0, force=lambda _: 0.3 * axis)
+
+    turned = plant.rod.solve(plant.joints, np.r_[plant.force, np.zeros(3)]).rotation
+    np.testing.assert_allclose(
+        tips[-1], turned @ np.diag(1.0 / np.array(stiffness)) @ turned.T @ plant.force, atol=2e-5
+    )
+    assert tips[-1] @ axis == pytest.approx(0.3 / 400.0, rel=0.02)
+
+
+def test_stiffness_of_a_setpoint_replaces_that_of_the_controller(paper_robot):
+    unit = replace(controller(paper_robot), stiffness=TipStiffness((20.0, 20.0, 200.0)))
+    order = HERE._replace(stiffness=TipStiffness((40.0, 40.0, 200.0)))
+    ticks, tips = run(unit, Plant(paper_robot), 8.0, lambda _: order, force=lambda _: np.array([0.1, 0.0, 0.0]))
+
+    np.testing.assert_allclose(tips[-1], [0.1 / 40.0, 0.0, 0.0], atol=1e-4)
+    assert ticks[-1].setpoint.stiffness == order.stiffness
+
+
 def test_stiffness_is_refused_without_control_of_the_tip_position(paper_robot):
     for unit in (controller(paper_robot, "inner_loop"), controller(paper_robot, k=0.0)):
         with pytest.raises(DescriptionError, match="strategy 'dual_layer' with k1 = k2 above 0"):
