@@ -11,7 +11,7 @@ from core.control.estimation import Actuation, Estimator
 from core.control.null_space import NullSpaceObjective
 from core.control.observer import Observer, RateFilter
 from core.control.step import Controller
-from core.control.stiffness import TipStiffness
+from core.control.stiffness import StiffnessFrame, TipStiffness
 from core.control.tip_direction import DEFAULT_LEVER_M, task_selection
 from core.control.tip_force import LoadEstimator
 from core.errors import DescriptionError
@@ -55,7 +55,7 @@ SENSOR_LOOPS, TRACKER_LOOPS = frozenset({"type_1", "type_1_exact", "loaded"}), f
 
 
 StiffnessValue = Annotated[float, Field(ge=1.0, le=1e4)]
-#: Stiffness along the three axes of the world frame [N/m].
+#: Stiffness along three axes [N/m].
 Stiffness = Annotated[tuple[StiffnessValue, StiffnessValue, StiffnessValue], Row]
 
 
@@ -88,9 +88,14 @@ class ControllerFile(Strict):
     """weights of the null-space objective, which keeps redundant joints away from: `stability` (the edge where tubes
     snap), `limits` (ends of travel), `order` (of the tubes)"""
     stiffness: Stiffness | None = None
-    """stiffness of the tip along the axes x, y, z of the world frame, 1 ... 10000 [N/m]; default: as stiff as the
+    """stiffness of the tip along the axes x, y, z of `stiffness_frame`, 1 ... 10000 [N/m]; default: as stiff as the
     joints allow. The tip must be at most 5 / T times softer than the tubes along their stiffest direction, where T is
-    half of `command_interval` plus `transport_delay` plus 0.02 s; a lower stiffness is refused"""
+    half of `command_interval` plus `transport_delay` plus 0.02 s; a lower stiffness is refused. While a motion runs,
+    `PUT /api/stiffness` changes these values within 1 s"""
+    stiffness_frame: StiffnessFrame = "world"
+    """frame of `stiffness`: world, or tip: the frame of the tip in the loaded model, which turns with the tip. Its z is
+    the tangent at the tip. Its x and y are fixed in the innermost tube, and equal those of the front plate if this tube
+    is straight and at rotation 0"""
     max_offset: Annotated[float, Field(gt=0.0, le=0.05)] = 0.02
     """largest offset by which the setpoint gives way to a force, with `stiffness` [m]"""
     load: Literal["forces", "wrenches"] = "forces"
@@ -204,7 +209,9 @@ class ControllerFile(Strict):
             null_space=NullSpaceObjective(self.null_space) if self.null_space else None,
             tracked=present.tracker,
             senses=present.sensors,
-            stiffness=None if self.stiffness is None else TipStiffness(self.stiffness, self.max_offset),
+            stiffness=(
+                None if self.stiffness is None else TipStiffness(self.stiffness, self.max_offset, self.stiffness_frame)
+            ),
         )
 
 

@@ -17,6 +17,7 @@ from core.control.step import (
     start_controller,
     step,
 )
+from core.control.stiffness import StiffnessRamp
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
@@ -64,6 +65,11 @@ NO_DIRECTION_CONTROL = (
     "the tip's direction is not controlled here; the station file's [controller] needs task ="
     " 'position_and_direction', and the robot five joints or more"
 )
+#: Error text for a change of the stiffness without a motion that has one.
+NO_STIFFNESS = (
+    "the stiffness of the tip can be changed only while a motion runs that was started with 'stiffness' in its"
+    " controller"
+)
 #: Interval between two attempts to connect a tracker whose port is missing [s].
 RECONNECT_INTERVAL_S = 1.0
 
@@ -85,6 +91,7 @@ class ControlLoop:
         self._jog: Jog | None = None
         self._after_homing: MotionTask | None = None  # task to start after homing
         self._motion: TimedMotion | StreamedMotion | TargetTrack | None = None  # motion of the task in progress
+        self._stiffness: StiffnessRamp | None = None  # change of the stiffness in the task in progress
         self._tare: Array | None = None
         self._rest: SettlePhase | None = None  # measurement at rest, before a motion or for a requested tare
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
@@ -199,7 +206,7 @@ class ControlLoop:
             raise RefusedError(self._target.missing)
         self.request(Transition.START)
         self._target.end()
-        self.controller, self._rest = task.controller, None
+        self.controller, self._rest, self._stiffness = task.controller, None, None
         self.progress = Progress(task, Phase.APPROACHING)
         self._snap = self._snap_monitor(task.margins or self._margins)
 
@@ -240,6 +247,20 @@ class ControlLoop:
         if self._memory is not None:
             self._memory = restart_setpoints_here(self._memory)
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
+
+    def set_stiffness(self, now: float, axes: tuple[float, float, float]) -> None:
+        """Change the stiffness of the tip along its axes [N/m], within `RAMP_S`, until the end of the present motion.
+
+        Raises:
+            RefusedError: the present motion has no stiffness, or no motion runs.
+            DescriptionError: the stiffness is too low for the delay of the line in the present pose.
+        """
+        started = None if self.progress is None else self.controller.stiffness
+        if started is None or self._memory is None:
+            raise RefusedError(NO_STIFFNESS)
+        last = replace(started, axes=axes)
+        last.check(self._memory.estimate.loaded, self.controller.force_delay)
+        self._stiffness = StiffnessRamp(self._stiffness.at(now) if self._stiffness else started, last, now)
 
     # Tick
 
@@ -407,6 +428,8 @@ class ControlLoop:
             return None
         if order is None:
             self._finish(now)
+        if isinstance(order, Setpoint) and self._stiffness is not None:
+            return order._replace(stiffness=self._stiffness.at(now))
         return order
 
     def _begin_motion(

@@ -10,16 +10,20 @@ from station.control.states import State, Transition
 from station.control.task import MotionTask, Space
 from station.devices.interfaces import Condition
 
+#: Change of state or action that a command requests.
+CommandKind = Transition | Literal["tare", "jog", "stiffness"]
+
 
 class Command(NamedTuple):
     """Command from the station process to the control process."""
 
     number: int  #: number of the command, repeated in its reply
-    what: Transition | Literal["tare", "jog"]  #: requested change of state or action
+    what: CommandKind
     task: MotionTask | None = None  #: motion to START, or to execute after HOME
     run: int = 0  #: number of the run that the task belongs to
     space: Space = "joints"  #: what a jog moves
     velocity: Array | None = None  #: velocity of a jog [rad/s or m/s]
+    stiffness: tuple[float, float, float] | None = None  #: stiffness of the tip along its axes, for `stiffness` [N/m]
     cause: str = ""  #: reason of a HOLD or STOP
     until: float = math.inf  #: deadline after which the command is rejected, by the station's clock [s]
     #: number of STOPs and resets before the request; a later one voids the command; None: never void

@@ -288,6 +288,8 @@ class _LiveLoop:
                     loop.tare(now)
                 case "jog" if command.velocity is not None:
                     loop.jog(now, command.space, command.velocity)
+                case "stiffness" if command.stiffness is not None:
+                    loop.set_stiffness(now, command.stiffness)
                 case _:
                     return f"'{command.what}' is not a valid command"
         except CtrError as error:

@@ -79,7 +79,8 @@ class Channels:
         `FORCE_CHANNELS` are the force from the deflection. `request` is the latest setpoint request
         for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity. `target` (14,) is from
         `TargetTrack.numbers`; without it the channels of the target are 0. `contact_start` is the time at which a tip
-        that holds a force has touched the obstacle [s], 0 without contact.
+        that holds a force has touched the obstacle [s], 0 without contact. The channels `stiffness` are the present
+        stiffness of the tip along the axes of its frame, 0 without a stiffness or without a motion.
         """
         memory, now = tick.memory, tick.memory.estimate
         true_tip, true_force, _, true_direction = truth or _NO_TRUTH
@@ -88,6 +89,7 @@ class Channels:
         setpoint = _NO_REQUEST if request is None or request.setpoint is None else request.setpoint
         kind = 0 if setpoint is _NO_REQUEST else 1 if setpoint.position is not None else 2
         position = memory.origin + setpoint.position if setpoint.position is not None else _ZERO
+        stiffness = tick.setpoint.stiffness
         row = np.empty(self._width)
         _fill(
             row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
@@ -99,7 +101,7 @@ class Channels:
             *(_NO_DIRECTIONS if memory.direction is None else _directions(tick, memory.direction)),
             _ZERO if true_direction is None else true_direction, _NO_TARGET if target is None else target,
             *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance,
-            contact_start,
+            contact_start, _ZERO if stiffness is None else np.array(stiffness.axes),
         )  # fmt: skip
         if sensors == ABSENT and memory.deflection is not None:
             self.of(row, "force_filtered")[:] = memory.deflection.force
@@ -162,7 +164,7 @@ def _fill(
     request_kind: int, request_time: float, request: Array, request_velocity: Array,
     measured: Array, observed: Array, desired: Array, true_direction: Array, target: Array,
     deflection_force: Array, deflection_covariance: Array, clearance: float,
-    contact_start: float,
+    contact_start: float, stiffness: Array,
 ) -> None:  # fmt: skip
     """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
@@ -198,6 +200,7 @@ def _fill(
     at = _put(row, at, deflection_force)
     at = _put(row, at, deflection_covariance)
     row[at], row[at + 1] = clearance, contact_start
+    _put(row, at + 2, stiffness)
 
 
 def _channels(robot: Robot) -> list[Channel]:
@@ -273,6 +276,7 @@ def _channels(robot: Robot) -> list[Channel]:
         *[Channel(f"force_by_deflection_covariance.{pair}", "N^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")],
         Channel("clearance", "m"),
         Channel("contact_start", "s"),
+        *vector("stiffness", "N/m"),
     ]
 
 
@@ -290,7 +294,7 @@ TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_
 #: Channels that each tick of the controller updates.
 COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
     "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
-    "clearance", "contact_start",
+    "clearance", "contact_start", "stiffness",
 }  # fmt: skip
 #: Channels of unit vectors; they are 0 if the tip's direction is neither measured nor controlled.
 DIRECTION_CHANNELS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")

@@ -77,7 +77,8 @@ def describe_controller(file: ControllerFile) -> str:
     """Return the strategy of a controller with the values of the keys that this strategy uses."""
     keys = KEYS_BY_STRATEGY.get(file.strategy, ())
     task = () if file.task == "position" else (_words(file.task),)
-    return ", ".join((_words(file.strategy), *task, *_parts(file, keys)))
+    frame = () if file.stiffness is None else ("stiffness_frame",)
+    return ", ".join((_words(file.strategy), *task, *_parts(file, keys + frame)))
 
 
 def describe_keys(model: Strict, *, turns: bool = True) -> str:

@@ -10,14 +10,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, TypeVar
 
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.camera.host import Cameras
 from station.config.loads import Load
-from station.control.messages import CommandRefused, DeviceReport, StateNotice
+from station.control.messages import CommandKind, CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
 from station.control.realtime import move_off_core
 from station.control.ring import STATE, Ring
@@ -311,6 +311,15 @@ class Supervisor:
         """
         self._send_if_free("jog", permit, space=space, velocity=velocity)
 
+    def set_stiffness(self, axes: tuple[float, float, float], permit: Permit | None = None) -> None:
+        """Change the stiffness of the tip along its axes [N/m] in the present motion.
+
+        Raises:
+            RefusedError: the present motion has no stiffness, no motion runs, a procedure has reserved the robot, or
+                the stiffness is too low for the delay of the line.
+        """
+        self._send_if_free("stiffness", permit, stiffness=axes)
+
     def operator_gone(self) -> None:
         """React to the loss of the operator: the present run continues or ends in HOLD, as configured."""
         if self.bench.on_operator_loss == "hold" and self._state.state is State.RUNNING:
@@ -347,11 +356,11 @@ class Supervisor:
         if self._reserved:
             raise RefusedError(self._reserved)
 
-    def _send_if_free(self, what: Transition | Literal["tare", "jog"], permit: Permit | None, **about: Any) -> None:
+    def _send_if_free(self, what: CommandKind, permit: Permit | None, **about: Any) -> None:
         self._check_free()
         self._send(what, permit or self.permit(), **about)
 
-    def _send(self, what: Transition | Literal["tare", "jog"], permit: Permit | None = None, **about: Any) -> None:
+    def _send(self, what: CommandKind, permit: Permit | None = None, **about: Any) -> None:
         control = self._processes.control
         if control is None:
             raise RefusedError("the station was not started: there is no control process")

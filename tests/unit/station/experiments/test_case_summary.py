@@ -4,10 +4,18 @@ import re
 
 import pytest
 
+from station.config.controllers import ControllerFile
 from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad, WallLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
 from station.config.strict import Strict, preset_names
-from station.experiments.case_summary import case_facts, describe_keys, load_windows, motion_title, window_name
+from station.experiments.case_summary import (
+    case_facts,
+    describe_controller,
+    describe_keys,
+    load_windows,
+    motion_title,
+    window_name,
+)
 from station.experiments.experiment import offered_experiment
 from station.lab.faults import LabFault
 from tests.harness.cases import a_case
@@ -62,6 +70,12 @@ def test_summary_of_a_wall_shows_only_keys_that_have_an_effect():
         assert word not in at_rest
         assert word in moving
     assert "stiffness 1000 N/m" in at_rest
+
+
+def test_summary_of_a_controller_shows_the_frame_of_its_stiffness():
+    controller = ControllerFile(stiffness=(30.0, 30.0, 300.0), stiffness_frame="tip")
+    assert describe_controller(controller).endswith("stiffness 30, 30, 300 N/m, stiffness frame tip")
+    assert "stiffness" not in describe_controller(ControllerFile())
 
 
 def test_the_case_summary_shows_the_sweep_of_a_translation_joint_in_millimetres():
