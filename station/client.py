@@ -293,6 +293,15 @@ class Station:
         """
         self._request("POST", "/api/mark", {"text": text})
 
+    def set_stiffness(self, stiffness: tuple[float, float, float]) -> None:
+        """Change the stiffness of the tip along the axes of the motion's `stiffness_frame` [N/m], within 1 s.
+
+        Raises:
+            StationRefused: the motion was started without a stiffness, no motion runs, or the stiffness is too low for
+                the delay of the line.
+        """
+        self._request("PUT", "/api/stiffness", {"stiffness": stiffness})
+
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
         """Jog for the next 0.3 s; `space`: `joints` [rad/s or m/s], `tip` [m/s], or `direction` of the tip [rad/s]."""
         self._request("POST", "/api/jog", {"space": space, "velocity": velocity})

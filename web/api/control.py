@@ -38,6 +38,7 @@ from web.api.schemas import (
     StartIn,
     StartOut,
     StatusOut,
+    StiffnessIn,
     StopOut,
     TipMotionIn,
 )
@@ -81,7 +82,7 @@ STREAMED_GROUPS = (
     "tip_estimated", "tip_desired", "tip_true", "force", "force_filtered", "force_variance", "u_int", "deflection",
     "deflection_filtered", "deflection_rate", "direction_measured", "direction_observed", "direction_desired",
     "direction_true", "target_followed", "target_measured", "target_offset", "target_true",
-    "contact_start",
+    "contact_start", "stiffness",
 )  # fmt: skip
 #: Largest rate of telemetry samples to all WebSocket clients together [1/s]. A higher rate would use a whole processor.
 MAX_SAMPLES_PER_S = 400.0
@@ -149,6 +150,11 @@ def control_routes(
     @router.post("/mark", summary="Mark the present moment of the run in its recording", **of.command)
     def mark(request: MarkIn) -> DoneOut:
         supervisor.mark(request.text)
+        return DoneOut(state=supervisor.status().state.name)
+
+    @router.put("/stiffness", summary="Change the tip's stiffness in a motion that has one", **of.command)
+    async def put_stiffness(request: StiffnessIn, permit: Permitted) -> DoneOut:
+        await asyncio.to_thread(supervisor.set_stiffness, request.stiffness, permit)
         return DoneOut(state=supervisor.status().state.name)
 
     @router.get("/trajectory", summary="The next free motion")

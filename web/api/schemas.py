@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from station.config.controllers import ControllerFile
+from station.config.controllers import ControllerFile, Stiffness
 from station.config.loads import Load
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
@@ -87,6 +87,15 @@ class MarkIn(Strict):
 
     text: Annotated[str, Field(min_length=1, max_length=200)] = "marked"
     """what has happened, for example: touched the tip"""
+
+
+class StiffnessIn(Strict):
+    """Stiffness of the tip for the rest of the present motion, which reaches it within 1 s."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"stiffness": [30.0, 30.0, 300.0]}]})
+
+    stiffness: Stiffness
+    """stiffness of the tip along the axes x, y, z of the motion's `stiffness_frame` [N/m]"""
 
 
 class StopOut(Strict):

@@ -176,6 +176,30 @@ def test_marks_of_a_run_are_recorded_with_their_time_since_the_motions_start(sta
     assert 1.0 < mark["time"] <= 4.0
 
 
+def test_stiffness_is_changed_only_in_a_motion_with_a_stiffness(station: Served) -> None:
+    change = {"stiffness": [60.0, 60.0, 500.0]}
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 60.0})
+    station.wait_for(lambda s: s["phase"] == "moving")
+    refused = station.rest.put("/api/stiffness", json=change)
+    assert refused.status_code == 409
+    assert "started with 'stiffness'" in refused.json()["error"]
+    station.ready()
+
+    controller = CONTROLLER | {"stiffness": [30.0, 30.0, 300.0]}
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "controller": controller, "duration": 60.0})
+    station.wait_for(lambda s: s["phase"] == "moving")
+    bystander = station.rest.put("/api/stiffness", json=change, headers={"x-ctr-client": "bystander"})
+    assert bystander.status_code == 409
+    assert station.rest.put("/api/stiffness", json={"stiffness": [0.0, 60.0, 500.0]}).status_code == 422
+    soft = station.rest.put("/api/stiffness", json={"stiffness": [1.0, 1.0, 1.0]})
+    assert soft.status_code == 409
+    assert "multiply the stiffness by" in soft.json()["error"]
+    assert station.rest.put("/api/stiffness", json=change).json()["state"] == "RUNNING"
+    with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as telemetry:
+        while (sample := json.loads(telemetry.recv()))["stiffness"] != change["stiffness"]:
+            assert sample["phase"] == "moving"
+
+
 def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> None:
     circle = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [1.0, 0.0, 0.0], "directions": []}
     assert station.rest.put("/api/trajectory", json=circle).json() == circle
