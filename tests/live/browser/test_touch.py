@@ -1,5 +1,6 @@
 """Touch on the page: the dial of a held force, the form in Jog that starts it, and the stiffness of the tip."""
 
+import json
 import math
 import re
 from collections.abc import Iterator
@@ -7,6 +8,7 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
+from websockets.sync.client import connect
 
 from tests.harness.chromium import open_tab, press_until_sent
 from tests.harness.serving import Served
@@ -161,13 +163,41 @@ def test_stiffness_needs_three_values_and_is_sent_with_the_motion(station: Serve
     assert station.status()["state"] == "READY"
     box.get_by_label("along y").fill("60")
     box.get_by_label("along z").fill("300")
+    box.get_by_label("stiffness frame").select_option("tip")
     box.get_by_label("max offset").fill("5")
 
     body = started(page, start)
 
     assert body["controller"]["stiffness"] == [60, 60, 300]
+    assert body["controller"]["stiffness_frame"] == "tip"
     assert body["controller"]["max_offset"] == pytest.approx(0.005)
     page.get_by_role("button", name="all motions").click()
+
+
+def test_stiffness_is_changed_while_a_motion_with_a_stiffness_runs(station: Served, jog: Page) -> None:
+    page = jog
+    open_tab(page, "start")
+    fields = page.locator("#stiffness")
+    motion = {"trajectory": {"kind": "hold"}, "duration": 600.0}
+    station.post("/api/start", motion)
+    page.locator("#now", has_text="left of").wait_for()
+    expect(fields).to_be_hidden()
+    station.ready()
+
+    controller = {"strategy": "dual_layer", "stiffness": [60.0, 60.0, 300.0], "stiffness_frame": "tip"}
+    station.post("/api/start", motion | {"controller": controller})
+    expect(fields.get_by_label("stiffness z")).to_have_value("300")
+    fields.get_by_label("stiffness z").fill("0")
+    fields.get_by_role("button", name="Set stiffness").click()
+    assert fields.get_by_label("stiffness z").evaluate("field => field.matches(':invalid')")
+    fields.get_by_label("stiffness z").fill("500")
+    with page.expect_request("**/api/stiffness") as sent:
+        fields.get_by_role("button", name="Set stiffness").click()
+    assert sent.value.post_data_json == {"stiffness": [60, 60, 500]}
+    expect(page.get_by_text("the tip reaches this stiffness within 1 s")).to_be_visible()
+    with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as telemetry:
+        while (sample := json.loads(telemetry.recv()))["stiffness"] != [60.0, 60.0, 500.0]:
+            assert sample["phase"] == "moving"
 
 
 def test_motion_that_holds_a_force_offers_no_stiffness(jog: Page) -> None:

@@ -1,9 +1,11 @@
-// The run in progress, at the top of the tab Run: what it does, its load, the time left, and live error and force.
+// The run in progress, at the top of the tab Run: what it does, its load, the time left, live error and force, and the
+// stiffness of the tip.
 import { $, button, clock, make, mayCommand, note, onStatus, sendCommand, setText } from "../page/station.js";
 import { isOpen } from "../page/tabs.js";
 import { Chart } from "../page/chart.js";
+import { form, schemas } from "../page/form.js";
 import { forceDial } from "../page/dial.js";
-import { error, samples } from "../page/telemetry.js";
+import { error, latestSample, samples } from "../page/telemetry.js";
 
 const REFRESH_INTERVAL_MS = 200, SHOWN_S = 30; // interval of the drawings [ms], and time shown in them [s]
 
@@ -20,16 +22,22 @@ const title = make("h3"), phase = make("p", { className: "small dim" }), load = 
 const progress = make("progress", { max: 1, value: 0, "aria-label": "progress" });
 const marked = make("input", { type: "text", value: "touched", maxLength: 200, "aria-label": "text of the mark" });
 const mark = button("Mark this moment", async () => { if (await sendCommand("POST", "/api/mark", { text: marked.value.trim() || "marked" })) note("marked in the recording", true); });
+const stiffnessBox = make("div", { id: "stiffness", hidden: true });
+const setStiffness = button("Set stiffness", async () => {
+  const valid = [...stiffnessBox.querySelectorAll("input")].every((input) => input.reportValidity());
+  if (valid && await sendCommand("PUT", "/api/stiffness", stiffness.read())) note("the tip reaches this stiffness within 1 s", true);
+});
 /** The run in progress, hidden while there is none. */
-export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, forceDial(), ...charts.map((chart) => chart.element), make("div", { className: "acts" }, marked, mark));
+export const box = make("section", { id: "now", hidden: true, "aria-label": "run in progress" }, title, phase, progress, load, forceDial(), ...charts.map((chart) => chart.element), stiffnessBox, make("div", { className: "acts" }, marked, mark));
 
 function point(time) {
   for (const chart of charts) chart.point(time);
 }
 
-let shown = ""; // id of the shown run
+let shown = "", filled = ""; // ids of the shown run, and of the run whose stiffness the fields had at first
+let stiffness = null; // form with these fields
 onStatus((status, stale) => {
-  mark.disabled = stale || status === null || !mayCommand(status);
+  mark.disabled = setStiffness.disabled = stale || status === null || !mayCommand(status);
   if (status === null) return; // no answer: what the station did last stays visible, in grey
   const run = status.state === "RUNNING" ? status.run : null;
   box.hidden = run === null;
@@ -43,8 +51,18 @@ onStatus((status, stale) => {
   shown = run.id;
 });
 
+/** Show the fields of the stiffness while the motion has one, at first with its present values. */
+async function showStiffness(present) {
+  stiffnessBox.hidden = !present?.some((one) => one > 0);
+  if (stiffnessBox.hidden || filled === shown) return;
+  filled = shown;
+  stiffness = form((await schemas()).StiffnessIn, { values: { stiffness: present } });
+  stiffnessBox.replaceChildren(stiffness.element, make("div", { className: "acts" }, setStiffness));
+}
+
 setInterval(() => {
   if (box.hidden || !isOpen("start")) return;
   const newest = samples.at(-1)?.time ?? 0;
+  showStiffness(latestSample()?.stiffness);
   for (const chart of charts) chart.show(samples, [newest - SHOWN_S, newest], newest);
 }, REFRESH_INTERVAL_MS);

@@ -3,7 +3,7 @@ import { latest, make, request } from "../page/station.js";
 import { form } from "../page/form.js";
 
 /** Keys of the controller that these fields set. */
-export const STIFFNESS_FIELDS = ["stiffness", "max_offset"];
+export const STIFFNESS_FIELDS = ["stiffness", "stiffness_frame", "max_offset"];
 const AXES = ["along_x", "along_y", "along_z"];
 
 /** Return the stiffness of the tubes alone along x, y and z at the current pose [N/m], by the model; null if unknown. */
@@ -16,23 +16,23 @@ async function tubeStiffness() {
 
 /** Return the fields of a controller's stiffness: {element, read()}. `schema` is that of the controller, `values` the initial ones. */
 export function stiffnessForm(schema, values) {
-  const { stiffness, max_offset } = schema.properties, bounds = stiffness.anyOf.find((one) => one.prefixItems).prefixItems;
+  const { stiffness, stiffness_frame, max_offset } = schema.properties, bounds = stiffness.anyOf.find((one) => one.prefixItems).prefixItems;
   const axes = AXES.map((name, i) => [name, { anyOf: [bounds[i], { type: "null" }], description: stiffness.description }]);
   const initial = Object.fromEntries(AXES.map((name, i) => [name, values.stiffness?.[i]]));
-  const fields = form({ properties: { ...Object.fromEntries(axes), max_offset } }, { values: { ...initial, max_offset: values.max_offset } });
+  const fields = form({ properties: { ...Object.fromEntries(axes), stiffness_frame, max_offset } }, { values: { ...values, ...initial } });
   const inputs = [...fields.element.querySelectorAll("input")].slice(0, AXES.length), tubes = make("span");
   const check = () => { for (const input of inputs) input.required = inputs.some((one) => one.value !== ""); }; // all three or none
   fields.element.addEventListener("input", check);
   check();
   tubeStiffness().then((found) => {
-    if (found !== null) tubes.textContent = ` At the current pose the tubes alone have ${found.map((one) => Number(one.toPrecision(2))).join(", ")} N/m along x, y, z.`;
+    if (found !== null) tubes.textContent = ` At the current pose the tubes alone have ${found.map((one) => Number(one.toPrecision(2))).join(", ")} N/m along x, y, z of the world frame.`;
   }).catch(() => {}); // the fields are complete without this hint
   const element = make("fieldset", {}, make("legend", {}, "Stiffness of the tip"),
     make("p", { className: "small dim" }, "Empty: as stiff as the joints allow. With three values the tip gives way to a force like a spring, for example 1 mm for 0.1 N at 100 N/m, but not further than the max offset.", tubes),
     fields.element);
   const read = () => {
-    const { max_offset: offset, ...found } = fields.read(), along = AXES.map((name) => found[name]);
-    return { ...(along.includes(undefined) ? {} : { stiffness: along }), ...(offset !== undefined && { max_offset: offset }) };
+    const { max_offset: offset, stiffness_frame: frame, ...found } = fields.read(), along = AXES.map((name) => found[name]);
+    return { ...(along.includes(undefined) ? {} : { stiffness: along, stiffness_frame: frame }), ...(offset !== undefined && { max_offset: offset }) };
   };
   return { element, read };
 }
