@@ -274,7 +274,8 @@ def _case(
                 f"trajectory.kind = 'follow': lab '{file.lab}' has no target; choose one with a table [target],"
                 " for instance 'breathing'"
             )
-        # Cases with the same motion check it once.
+        # Cases with the same bench and motion check it once.
+        bench = (robot, lab.present, file.calibration, file.keep_out)
         settings = (
             file.controller.integrator,
             file.controller.sublink,
@@ -287,9 +288,7 @@ def _case(
         described = Case(name, file, robot, lab, controller, orders, start, registration, views=views)
         if checked is None:
             return described
-        motion = digest(
-            repr((robot, lab.present, file.calibration, settings, file.start, file.trajectory, file.duration, file.keep_out))
-        )
+        motion = digest(repr((bench, settings, file.start, file.trajectory, file.duration)))
         if motion not in checked:
             orders.check(controller, start, file.duration)
             checked[motion] = ()
