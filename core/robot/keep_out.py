@@ -6,6 +6,11 @@ limit slows the motion toward a region as other limits do: the clearance over `B
 speed at which the nearest point of each part of the tubes approaches it. The clearance is that at the time when a
 command takes effect. The speed with which a rising load pushes the point toward the region counts as approach.
 
+Where the nearest wall changes, for example at an edge of a lumen, the direction of the distance jumps. Tubes that slide
+along one wall would meet the next wall without braking. Therefore the surface is probed around the nearest point, and
+the tangent plane of the surface nearest to each probe bounds the approach, too. Planes are left out that lie in front
+of the surface, as those of a convex body do. A point on each side of the nearest point bounds rotations about it.
+
 A load can push the tubes nearer than the margin. During a motion the robot then retreats until the clearance is zero
 (`core.control.retreat`); without a motion it does not move.
 """
@@ -24,7 +29,7 @@ from core.errors import DescriptionError, PoseError
 from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, built_in
 from core.robot.robot import Array
 
-#: Names of the parts of the tubes; each has a row of the limit, for its point that is nearest to the region.
+#: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
 PARTS = ("first quarter", "second quarter", "third quarter", "last quarter", "end of an outer tube")
 #: Kinds of regions in packed numbers.
 SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
@@ -32,8 +37,19 @@ SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
 CELL_M, REACH_M = 0.005, 0.030
 #: Clearance beyond which the nearest point between two points of the tubes is not searched [m].
 FAR_M = 0.010
-#: Distance by which the clearance may be missed, because the limit lets the tubes come as near as the margin [m].
+#: Clearance beyond which a part of the tubes has only the row of its nearest point [m].
+NEAR_M = 0.004
+#: Distance from the nearest point at which the surface is probed, forward and back along each axis [m].
+PROBE_M = 0.002
+#: Distance of the two further points of the tubes from the nearest point, over the distance of the points.
+NEIGHBOUR = 0.5
+#: Rows of each part of the tubes: those of its nearest point, of the probes, and of the two further points.
+PROBES = 6
+ROWS = 1 + PROBES + 2
+#: Distance by which the clearance may be missed, because the limit lets the tubes come close to the margin [m].
 TOLERANCE_M = 1e-4
+#: Clearance at which the tubes stop [m]; the noise of the observed tip changes the clearance by about as much.
+RESERVE_M = 5e-5
 #: Time constant of a retreat [s], twice the delay of the stages.
 RETREAT_TIME_S = 0.15
 #: Largest number of triangles of a mesh, and of its cells.
@@ -137,11 +153,11 @@ class KeepOut:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """One text for each part of the tubes."""
-        return tuple(f"region '{self.region.name}' ({part})" for part in PARTS)
+        """Names of the rows: the region and the part of the tubes."""
+        return tuple(f"region '{self.region.name}' ({part})" for part in PARTS for _ in range(ROWS))
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
-        """Return a row for each part of the tubes: its approach is at most the clearance over a time constant."""
+        """Return `ROWS` rows for each part of the tubes: the approach is at most the clearance over a time constant."""
         rows, signed, _ = self.evaluated(at.backbone)
         return rows, np.maximum(signed, 0.0)
 
@@ -154,14 +170,15 @@ class KeepOut:
         return Clearance(float(best[0]), point, direction, point - away * direction)
 
     def evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
-        """Return rows, signed room, and clearance, nearest point and direction of each part (5, 7).
+        """Return rows (5 `ROWS`, n), signed room, and clearance, nearest point and direction of each part (5, 7).
 
         Where the room is negative, a retreat is necessary, with this speed [m/s].
         """
         last = self.__dict__.get("_last")  # a tick evaluates a limit three times
         if last is not None and last[0] is near:
             return last[1]
-        found = np.zeros((len(PARTS), near.jacobian.shape[2])), np.empty(len(PARTS)), np.empty((len(PARTS), 7))
+        m = len(PARTS) * ROWS
+        found = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.empty((len(PARTS), 7))
         _rows(self.region.packed, *self.region.mesh, *near, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
         self.__dict__["_last"] = near, found
         return found
@@ -183,6 +200,16 @@ def smallest_clearance(limits: Sequence[object], near: Backbone) -> tuple[str, C
     return min(found, key=lambda one: one[1].distance, default=None)
 
 
+def region_at(limits: Sequence[object], point: Array) -> str | None:
+    """Return the name of the first region among `limits` whose margin a point (3,) [m] misses; None: there is none."""
+    for limit in limits:
+        if isinstance(limit, KeepOut):
+            region = limit.region
+            if (-1.0 if region.inside else 1.0) * region.distance(point)[0] < region.margin:
+                return region.name
+    return None
+
+
 @compiled
 def _rows(
     region: Array, triangles: Array, normals: Array, origin: Array, size: NDArray[np.int64], starts: NDArray[np.int64],
@@ -191,44 +218,74 @@ def _rows(
 ) -> None:  # fmt: skip
     """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
     surface = Mesh(triangles, normals, origin, size, starts, candidates, distances)
-    sign, margin, quarters = region[1], region[2], rows.shape[0] - 1
-    direction, point = np.empty(3), np.empty(3)
-    for part in range(rows.shape[0]):
+    sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
+    point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    room[:], nearest[:, 0] = 1.0 / braking, np.inf
+    for part in range(nearest.shape[0]):
         first, last = part * (along - 1) // quarters, (part + 1) * (along - 1) // quarters
         if part == quarters:
             first, last = along, points.shape[0] - 1
-        best, at, reachable = np.inf, -1, -np.inf
-        for i in range(first, last + 1):
-            if i > first:  # the distance changes at most as much as the point moves
-                reachable -= np.sqrt(_square(points[i], points[i - 1]))
-            if reachable > best:
-                continue
-            distance = sign * _distance(region, surface, points[i], direction) - radii[i]
-            reachable = distance + radii[i] - max(radii[first], radii[last])
-            if distance < best:
-                best, at = distance, i
-        room[part], nearest[part, 0] = 1.0 / braking, np.inf
+        at, best = _nearest_index(region, surface, points, radii, first, last)
         if at < 0:
             continue  # a robot of one tube has no outer ends
-        share = 0.0
-        if best < FAR_M and at < along and along > 2:
-            nearest_point, at = at, min(max(at, 1), along - 2)  # the ends have one neighbour
-            share = _nearest_share(region, surface, points, at, nearest_point - at)
+        share, between = 0.0, at < along and along > 2
+        if best < FAR_M and between:
+            end, at = at - min(max(at, 1), along - 2), min(max(at, 1), along - 2)  # the ends have one neighbour
+            share = _nearest_share(region, surface, points, at, end, best + radii[at + end])
         _between(points, at, share, point)
-        radius = radii[at]
-        if share != 0.0:
-            radius = max(radius, radii[at + (1 if share > 0.0 else -1)])
-        clearance = sign * _distance(region, surface, point, direction) - radius - margin
-        for j in range(rows.shape[1]):
-            _between(jacobian[:, :, j], at, share, nearest[part, 1:4])
-            rows[part, j] = -sign * (direction @ nearest[part, 1:4])
-        _between(ahead, at, share, nearest[part, 1:4])
-        expected = clearance + sign * (direction @ nearest[part, 1:4])
-        _between(drift, at, share, nearest[part, 1:4])
-        pushed = min(sign * (direction @ nearest[part, 1:4]), 0.0)  # a load that pulls away may end at any time
-        room[part], nearest[part, 0] = expected / (braking if expected > 0.0 else retreat) + pushed, clearance
+        best = sign * _distance(region, surface, point, normal) - radii[at + int(np.floor(share))] - margin
+        nearest[part, 0] = best
         for k in range(3):
-            nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * direction[k]
+            nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * normal[k]
+        for number in range(ROWS if best < NEAR_M else 1):
+            place, row = share, part * ROWS + number
+            if number > PROBES:
+                place += NEIGHBOUR if number == ROWS - 1 else -NEIGHBOUR
+                if not (between and 0.0 <= at + place <= along - 1.0):
+                    continue
+            _between(points, at, place, point)
+            _between(ahead, at, place, vector)
+            for k in range(3):
+                point[k] += vector[k]
+                probe[k] = point[k]
+            if 0 < number <= PROBES:
+                probe[(number - 1) // 2] += PROBE_M if number % 2 == 0 else -PROBE_M
+            radius = radii[at + int(np.floor(place))]
+            left = sign * _distance(region, surface, probe, normal) - radius - margin - RESERVE_M
+            for k in range(3):
+                normal[k] *= sign
+                left += normal[k] * (point[k] - probe[k])
+            if number == 0:
+                best = left
+            elif number <= PROBES and left < best + 1e-9:
+                continue  # the surface is flat or convex
+            for j in range(rows.shape[1]):
+                _between(jacobian[:, :, j], at, place, vector)
+                rows[row, j] = -_product(normal, vector)
+            _between(drift, at, place, vector)
+            pushed = min(_product(normal, vector), 0.0)  # a load that pulls away may end at any time
+            room[row] = left / (braking if left > 0.0 else retreat) + pushed
+
+
+@compiled
+def _nearest_index(
+    region: Array, surface: Mesh, points: Array, radii: Array, first: int, last: int
+) -> tuple[int, float]:
+    """Return the index of the nearest point from `first` to `last`, and the distance of the tubes there.
+
+    The index is -1 if there are no points.
+    """
+    best, at, reachable, direction = np.inf, -1, -np.inf, np.empty(3)
+    for i in range(first, last + 1):
+        if i > first:  # the distance changes at most as much as the point moves
+            reachable -= np.sqrt(_square(points[i], points[i - 1]))
+        if reachable > best:
+            continue
+        distance = region[1] * _distance(region, surface, points[i], direction) - radii[i]
+        reachable = distance + radii[i] - max(radii[first], radii[last])
+        if distance < best:
+            best, at = distance, i
+    return at, best
 
 
 @compiled
@@ -242,26 +299,25 @@ def _between(values: Array, at: int, share: float, out: Array) -> None:
 
 
 @compiled
-def _nearest_share(region: Array, surface: Mesh, points: Array, at: int, end: int) -> float:
+def _nearest_share(region: Array, surface: Mesh, points: Array, at: int, end: int, distance: float) -> float:
     """Return where between the neighbours of point `at` the curve is nearest to the region, from -1 to 1.
 
-    `end` is -1 or 1 if the nearest point is the first or the last one, else 0.
+    `end` is -1 or 1 if the nearest point is the first or the last one, else 0; `distance` is that of the nearest point.
+    The search is a golden section.
     """
     low, high, point, direction = -1.0 if end <= 0 else 0.0, 1.0 if end >= 0 else 0.0, np.empty(3), np.empty(3)
-    for _ in range(5):
-        left, right = low + (high - low) * 0.4, low + (high - low) * 0.6
-        _between(points, at, left, point)
+    share, best = low, np.inf
+    for number in range(6):
+        other = low + high - share if number > 0 else low + 0.381966 * (high - low)
+        _between(points, at, other, point)
         there = region[1] * _distance(region, surface, point, direction)
-        _between(points, at, right, point)
-        if there < region[1] * _distance(region, surface, point, direction):
-            high = right
-        else:
-            low = left
-    share = 0.5 * (low + high)
-    _between(points, at, share, point)
-    there = region[1] * _distance(region, surface, point, direction)
-    _between(points, at, float(end), point)
-    return share if there < region[1] * _distance(region, surface, point, direction) else float(end)
+        nearer, farther = (other, share) if there < best else (share, other)
+        if number > 0 and farther < nearer:
+            low = farther
+        elif number > 0:
+            high = farther
+        share, best = nearer, min(there, best)
+    return share if best < distance else float(end)
 
 
 @compiled
@@ -364,6 +420,12 @@ def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
             direction[k] = -direction[k]
         return -distance
     return distance
+
+
+@compiled
+def _product(a: Array, b: Array) -> float:
+    """Return the scalar product of two vectors (3,), faster than a call of a library."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled

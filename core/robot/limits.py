@@ -222,7 +222,7 @@ class Limits:
             elif side != 0.0:
                 found.append(f"speed of {limit.name} ({limit.speed:.4g} {limit.unit}/s)")
         names = [name for limit in self.others for name in limit.names]
-        return (*found, *(name for name, active in zip(names, at_row, strict=False) if active))
+        return (*found, *dict.fromkeys(name for name, active in zip(names, at_row, strict=False) if active))
 
 
 @dataclass(frozen=True)

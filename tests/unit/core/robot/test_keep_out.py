@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from core.errors import DescriptionError, PoseError
-from core.robot.keep_out import KeepOut, Region, mesh
+from core.robot.keep_out import RESERVE_M, KeepOut, Region, mesh, region_at
 from core.robot.limits import Backbone, Configuration
 from core.robot.robot import Array
 
@@ -97,14 +97,14 @@ def test_clearance_of_a_region_in_front_of_the_tip_is_that_of_the_tip() -> None:
     assert np.allclose(found.point, (0.0, 0.0, 0.2))
 
 
-@pytest.mark.parametrize(("drift", "room"), [(-0.004, 0.002 / 0.25 - 0.004), (0.004, 0.002 / 0.25), (-0.010, 0.0)])
-def test_a_load_that_pushes_toward_a_region_leaves_less_room(drift: float, room: float) -> None:
+@pytest.mark.parametrize(("drift", "pushed"), [(-0.004, -0.004), (0.004, 0.0), (-0.010, -0.010)])
+def test_a_load_that_pushes_toward_a_region_leaves_less_room(drift: float, pushed: float) -> None:
     line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 33)]))
     line.drift[:, 0] = drift
     limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
 
     assert limit.rows(Configuration(np.zeros(3), np.eye(3), line.points[-1], np.zeros(3), line))[1].min() == (
-        pytest.approx(room, rel=0.01, abs=1e-12)
+        pytest.approx(max((0.002 - RESERVE_M) / 0.25 + pushed, 0.0), rel=0.01, abs=1e-12)
     )
 
 
@@ -114,7 +114,7 @@ def test_motion_that_a_command_cannot_change_counts_as_travelled() -> None:
     limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.05, 0.008), margin=0.001))
     at = Configuration(np.zeros(3), np.eye(3), line.points[-1], np.zeros(3), line)
 
-    assert limit.rows(at)[1].min() == pytest.approx(0.0005 / 0.25, rel=0.02)
+    assert limit.rows(at)[1].min() == pytest.approx((0.0005 - RESERVE_M) / 0.25, rel=0.02)
     assert limit.clearance(line).distance == pytest.approx(0.002, abs=2e-5)
 
 
@@ -126,7 +126,73 @@ def test_rows_bound_the_approach_by_the_clearance_over_a_quarter_of_a_second() -
     assert len(limit.names) == len(rows) == len(room)
     nearest = int(room.argmin())
     assert np.allclose(rows[nearest], (-1.0, 0.0, 0.0), atol=0.01)  # toward the ball, against x
-    assert room[nearest] == pytest.approx(0.002 / 0.25, rel=0.01)
+    assert room[nearest] == pytest.approx((0.002 - RESERVE_M) / 0.25, rel=0.01)
+
+
+def duct(x: float, y: float) -> tuple[KeepOut, Array, Array]:
+    """Return limit, rows and room of tubes along z in a square duct whose walls are at x = 10 mm and y = 10 mm."""
+    triangles = np.asarray(trimesh.creation.box((0.02, 0.02, 0.3)).triangles)
+    limit = KeepOut(Region("duct", "mesh", (), inside=True, margin=0.001, mesh=mesh(triangles)))
+    near = straight(np.array([[x, y, z] for z in np.linspace(0.0, 0.1, 33)]))
+    return limit, *limit.rows(Configuration(np.zeros(3), np.eye(3), near.points[-1], np.zeros(3), near))
+
+
+def test_both_walls_of_a_corner_bound_the_approach() -> None:
+    """The wall at y = 10 mm is 0.4 mm farther away than the nearest wall, and has its own row."""
+    _, rows, room = duct(0.0075, 0.0071)
+    for axis, clearance in ((0, 0.0005), (1, 0.0009)):
+        toward = np.isclose(rows, np.eye(3)[axis], atol=1e-9).all(axis=1)
+        assert toward.any()
+        assert room[toward].max() == pytest.approx((clearance - RESERVE_M) / 0.25, rel=1e-6)
+
+
+def test_a_point_that_will_be_nearer_to_another_wall_brakes_in_front_of_it() -> None:
+    """The tubes move from the wall at x = 10 mm to that at y = 10 mm before a command takes effect."""
+    limit, *_ = duct(0.0075, 0.0)
+    near = straight(np.array([[0.0075, 0.0060, z] for z in np.linspace(0.0, 0.1, 33)]))
+    near.ahead[:] = (-0.001, 0.0018, 0.0)
+    rows, room = limit.rows(Configuration(np.zeros(3), np.eye(3), near.points[-1], np.zeros(3), near))
+
+    assert np.allclose(rows[room.argmin()], (0.0, 1.0, 0.0))
+    assert room.min() == pytest.approx((0.0002 - RESERVE_M) / 0.25, rel=1e-6)
+    assert limit.clearance(near).distance == pytest.approx(0.0005, abs=1e-9)
+
+
+def test_a_convex_surface_bounds_only_the_approach_to_its_nearest_point() -> None:
+    """The line passes the edge of a box outside of it; no row bounds its motion along a face."""
+    box = Region("box", "mesh", (), mesh=mesh(np.asarray(trimesh.creation.box((0.02, 0.02, 0.02)).triangles)))
+    near = straight(np.array([[0.0125, 0.0095, z] for z in np.linspace(-0.05, 0.05, 33)]))
+    rows, _ = KeepOut(box).rows(Configuration(np.zeros(3), np.eye(3), near.points[-1], np.zeros(3), near))
+
+    close = np.abs(rows[:, 0] + 1.0) < 1e-9
+    assert close.any()
+    assert np.allclose(rows[close][:, 1:], 0.0)
+    assert rows[:, 1].min() > -1e-9  # no row bounds the motion along -y, away from the edge
+
+
+def test_rows_of_neighbouring_points_bound_a_rotation_about_the_nearest_point() -> None:
+    """The only joint turns the tubes about their nearest point, whose own row does not contain it."""
+    points = np.array([[0.012, 0.0, z] for z in np.linspace(-0.048, 0.048, 33)])
+    turn = np.zeros((33, 3, 1))
+    turn[:, 0, 0] = -points[:, 2]
+    near = straight(points)._replace(jacobian=turn)
+    limit = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.0, 0.0099), margin=0.001))
+    rows, room = limit.rows(Configuration(np.zeros(1), np.zeros((3, 1)), points[-1], np.zeros(3), near))
+    close = room < 0.01
+
+    assert rows[room.argmin()] == pytest.approx(0.0, abs=1e-4)
+    assert rows[close].max() > 0.0014
+    assert rows[close].min() < -0.0014
+
+
+def test_region_of_a_point_is_the_one_whose_margin_the_point_misses() -> None:
+    ball, lumen = (
+        Region("ball", "sphere", (0.0, 0.0, 0.0, 0.01)),
+        Region("lumen", "sphere", (0.0, 0.0, 0.0, 0.05), inside=True),
+    )
+    limits = [KeepOut(ball), KeepOut(lumen)]
+    for x, name in ((0.0105, "ball"), (0.02, None), (0.0495, "lumen"), (0.2, "lumen")):
+        assert region_at(limits, np.array([x, 0.0, 0.0])) == name
 
 
 def test_tubes_must_stay_inside_an_allowed_region() -> None:

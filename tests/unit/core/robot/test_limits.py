@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from core.errors import DescriptionError, PoseError
+from core.robot.keep_out import KeepOut, Region
 from core.robot.limits import Configuration, ForceLimit, JointLimit, Limits, TubeOrder, Workspace
 
 DEGREE = math.pi / 180.0
@@ -239,6 +240,15 @@ def test_the_active_limits_are_named_with_value_and_unit():
     assert limits.active(joints, np.zeros(2), np.zeros(1)) == ()
     # This command has no limits that involve several joints.
     assert Limits((TURN, SLIDE)).active(joints, np.zeros(2), np.zeros(0)) == ()
+
+
+def test_several_active_rows_of_one_name_are_reported_once(paper_robot):
+    region = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.1, 0.01)))
+    joints = tuple(JointLimit(joint.name, joint.unit, -1.0, 1.0, 0.1, 1.0) for joint in paper_robot.joints)
+    active = replace(Limits(joints), others=(region,)).active(np.zeros(3), np.zeros(3), np.ones(len(region.names)))
+
+    assert active == tuple(dict.fromkeys(region.names))
+    assert len(active) == 5
 
 
 @pytest.mark.parametrize(
