@@ -29,6 +29,7 @@ from core.control.force_control import (
 )
 from core.control.null_space import Kinks, NullSpaceObjective, StabilityGradient, kinks_of
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
+from core.control.retreat import within_acceleration
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import Corrections, FusedLoad, fuse_at
 from core.control.shape_correction import (
@@ -56,7 +57,7 @@ from core.model.backbone import ExpectedMotion, backbone
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.keep_out import KeepOut
-from core.robot.limits import Backbone, Limits
+from core.robot.limits import Backbone, Configuration, Limits
 from core.robot.robot import Array
 
 
@@ -342,6 +343,11 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
             sample.joints, now, force, followed, tip, memory.origin, drift,
             controller.aim, tasks, null_space, near,
         )  # fmt: skip
+        if near is not None:
+            at = Configuration(sample.joints, now.loaded.jacobian[:3], now.observed.tip, force, near)
+            interval = max(controller.estimator.actuation.command_interval, controller.period)
+            velocity = within_acceleration(limits, at, sample.sent, found.velocity, interval)
+            found = found._replace(velocity=velocity)
     else:
         # Without a tip setpoint, report the present tip as setpoint.
         velocity = np.zeros(sample.joints.size) if order is None else order.velocity

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from core.control.reachability import SolvedConfiguration
-from core.control.retreat import inverse_after_retreat, retreat
+from core.control.retreat import inverse_after_retreat, retreat, within_acceleration
 from core.control.step import Controller, Sample, Tick, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import VelocityTask
-from core.robot.keep_out import KeepOut
+from core.robot.keep_out import RESERVE_M, KeepOut
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.regions import SphereRegion
 from station.config.robots import load_robot
@@ -45,7 +45,7 @@ def test_a_joint_motion_stops_in_front_of_a_region() -> None:
     tick = moved(control, JointMotion(np.array([0.0, 0.0, 0.008])), 3.0)
 
     assert np.abs(tick.command).max() < 1e-4
-    assert tick.clearance == pytest.approx(0.0, abs=5e-5)
+    assert tick.clearance == pytest.approx(RESERVE_M, abs=2e-5)
     assert tick.at_row.any()
 
 
@@ -96,6 +96,33 @@ def test_nothing_retreats_outside_of_the_margin() -> None:
     control = controller((0.0080, 0.0, 0.0), 0.004)
     context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
     assert retreat(control.limits, context, *control.limits.rows(context)) is None
+
+
+def test_joints_that_change_their_velocities_reach_them_together() -> None:
+    """The second joint changes its velocity six times as much as the first and needs 14 commands."""
+    control, sent, desired = controller((0.0, 0.1, 0.0), 0.004), np.array([-0.1, 0.3, 0.0]), np.array([0.0, -0.3, 0.0])
+    limits = control.limits
+    context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
+    found = within_acceleration(limits, context, sent, desired, 0.025)
+
+    assert found[1] == pytest.approx(0.3 - 0.025 * limits.joints[1].acceleration)
+    assert (found[0] + 0.1) / 0.1 == pytest.approx((found[1] - 0.3) / -0.6)
+    close = sent + np.array([0.001, -0.002, 0.0001])
+    assert np.array_equal(within_acceleration(limits, context, sent, close, 0.025), close)
+
+
+def test_a_limit_is_not_missed_for_the_acceleration_of_the_joints() -> None:
+    """The joints approach the ball faster than its row allows, and stop at once as far as the row requires."""
+    control = controller((0.0064, 0.0, 0.0), 0.004)
+    context = SolvedConfiguration(control.statics, control.statics.solve(START, np.zeros(6)))
+    rows, room = control.limits.rows(context)
+    nearest = int(room.argmin())
+    sent = 0.3 * np.sign(rows[nearest]) * (1.0, 1.0, 0.0)
+    assert rows[nearest] @ sent > 2.0 * room[nearest] > 0.0
+    found = within_acceleration(control.limits, context, sent, np.zeros(3), 0.025)
+
+    assert (rows @ found <= room + 1e-12).all()
+    assert rows[nearest] @ found == pytest.approx(room[nearest])
 
 
 def test_a_controller_without_regions_has_the_largest_recorded_clearance() -> None:
