@@ -17,6 +17,7 @@ from pydantic import Field
 from core.control.step import Tick
 from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from core.errors import DescriptionError
+from core.robot.keep_out import region_at
 from core.robot.limits import Limits
 from core.robot.robot import Array
 from core.robot.strength import design_snap_number
@@ -187,6 +188,7 @@ class ProgressMonitor:
         self._reason = ""  # description of the limit or singular pose
         self._borne = math.inf  # last time at which the force was below its bound [s]
         self._errors: deque[tuple[float, float]] = deque()  # times [s] and tip errors [m] while a limit is active
+        self._through = ""  # text that names the region in which the setpoint was while a limit is active
 
     def check(self, now: float, tick: Tick, limits: Limits, floor: float = SIGMA_FLOOR_M_S) -> str:
         """Return why the motion should end, in one line; empty if it may continue.
@@ -201,7 +203,8 @@ class ProgressMonitor:
         if overload := self._overload(now, tick, limits):
             return overload
         memory = tick.memory
-        away = memory.origin + tick.setpoint.position - memory.estimate.observed.tip
+        desired = memory.origin + tick.setpoint.position
+        away = desired - memory.estimate.observed.tip
         error = math.sqrt(float(away @ away))
         sigma, joints = float(tick.sigma[-1]), memory.estimate.loaded.joints
         blocked = limits.blocking(joints, tick.at_bound, tick.at_row)
@@ -212,8 +215,11 @@ class ProgressMonitor:
             self._reason = ", ".join((*reasons, *active))
         if error < MIN_ERROR_M or now - self._blocked_at > UNBLOCKED_TIME_S:
             self._errors.clear()
+            self._through = ""
             return ""
         self._errors.append((now, error))
+        if region := region_at(limits.others, desired):
+            self._through = f"the path leads through the region '{region}': "
         first, before = self._errors[0]
         if now - first < STALL_TIME_S:
             return ""
@@ -221,7 +227,7 @@ class ProgressMonitor:
         if error < PROGRESS_RATIO * before:
             return ""
         return (
-            f"the tip is {1e3 * error:.2g} mm off and has not come nearer for {STALL_TIME_S:g} s;"
+            f"{self._through}the tip is {1e3 * error:.2g} mm off and has not come nearer for {STALL_TIME_S:g} s;"
             f" move the target or start elsewhere ({self._reason})"
         )
 

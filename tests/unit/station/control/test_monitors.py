@@ -1,5 +1,6 @@
 """Monitors that end a motion: a sudden snap, a stalled or overloaded tip, and late ticks of the control loop."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -13,6 +14,7 @@ from core.control.trajectories import Setpoint
 from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from core.model.solution import pure_force
 from core.model.statics import Statics
+from core.robot.keep_out import KeepOut, Region
 from station.config.robots import load_robot
 from station.control.monitors import (
     CONFIRMING_FRAMES,
@@ -97,13 +99,15 @@ def limits(paper):
     return paper.limits()
 
 
-def tick(error: float, sigma: float = 0.01, at_bound=(0.0, 0.0, 0.0), joints=(0.0, 1.0, -0.1), force=0.0) -> Tick:
-    estimate = SimpleNamespace(
-        observed=SimpleNamespace(tip=np.array([0.0, 0.0, 0.2 + error])), loaded=SimpleNamespace(joints=np.array(joints))
-    )
+def tick(
+    error: float, sigma: float = 0.01, at_bound=(0.0, 0.0, 0.0), joints=(0.0, 1.0, -0.1), force=0.0, desired=0.0
+) -> Tick:
+    tip = np.array([0.0, 0.0, 0.2 + desired + error])
+    estimate = SimpleNamespace(observed=SimpleNamespace(tip=tip), loaded=SimpleNamespace(joints=np.array(joints)))
     memory = SimpleNamespace(estimate=estimate, origin=np.array([0.0, 0.0, 0.2]))
+    setpoint = Setpoint(np.array([0.0, 0.0, desired]), np.zeros(3))
     made = SimpleNamespace(
-        memory=memory, setpoint=Setpoint(np.zeros(3), np.zeros(3)), sigma=np.array([0.02, 0.01, sigma]),
+        memory=memory, setpoint=setpoint, sigma=np.array([0.02, 0.01, sigma]),
         at_bound=np.array(at_bound), at_row=np.zeros(0), load=FusedLoad(np.array([force, 0.0, 0.0]), np.zeros(3)),
     )  # fmt: skip
     return cast(Tick, made)
@@ -131,6 +135,17 @@ def test_singular_pose_that_lasts_five_seconds_ends_the_motion(limits):
     assert "2 mm off" in text
     assert "5 s" in text
     assert "\n" not in text
+
+
+def test_region_on_the_path_of_the_setpoint_is_the_reason_of_a_stalled_motion(limits):
+    ball = KeepOut(Region("ball", "sphere", (0.0, 0.0, 0.2, 0.004)))
+    inside = replace(limits, others=(ball,))
+    reason = "the path leads through the region 'ball': the tip is 2 mm off"
+    assert watch(inside, 20.0, lambda _: tick(2e-3, STUCK))[1].startswith(reason)
+    # The setpoint leaves the region on its other side after one second.
+    assert watch(inside, 20.0, lambda time: tick(2e-3, STUCK, desired=0.0 if time < 1.0 else 0.02))[1].startswith(
+        reason
+    )
 
 
 def test_joint_that_stays_at_its_end_of_travel_ends_the_motion_and_is_named(limits):
