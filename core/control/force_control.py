@@ -2,7 +2,7 @@
 
 Along the direction n of a `Press` the tip's position is not controlled. The joints alone move the tip with the velocity
 
-    v = a g c (F - f) + s - (1 - a) h c f',    s' = RESET (a g)^2 c (F - f),    c = n' C n
+    v = a g c (F - f) + s - (1 - a) h c f',    s' = RESET b (a g)^2 c (F - f),    c = n' C n
 
 Here F is the desired force, f the filtered force that the tip exerts along n and C the compliance of the tubes. The
 integral s becomes the speed of an obstacle that moves. Across n the loops control the position as in every other
@@ -10,8 +10,10 @@ motion.
 
 **Stability.** On a rigid obstacle a motion of the free tip by dx raises the force by dx / c, so the loop crosses 1 at
 g. It has the delay T from a force to the joints, and g T = `CROSSOVER_DELAY` leaves enough phase margin. A soft
-obstacle gives way, so the loop crosses 1 at a lower frequency. In a curved robot the tip is stiffer along its axis than
-1 / c while the loops hold it across n; the phase margin allows for that.
+obstacle gives way, so the loop crosses 1 at a lower frequency. While the loops hold the tip across n, it is stiffer by
+the ratio r = c n' C^-1 n, which is largest along the axis of a curved robot. The phase margin allows for that. The
+integral takes a part of this margin, so b = min(1, `STIFFER` / r) makes it slower along the axis. There, with a quick
+integral, friction in the tubes keeps up an oscillation.
 
 **Approach.** The force rises at most by v T / c before the joints respond to the contact. So the approach is not faster
 than `OVERSHOOT` F c / T, and the force exceeds F by at most `OVERSHOOT` F. Without contact s is zero.
@@ -33,6 +35,8 @@ from core.robot.robot import Array
 CROSSOVER_DELAY = 0.45
 #: Rate of the integral, as a fraction of the crossover frequency.
 RESET = 0.4
+#: Ratio r above which the integral is slower: the paper's robot has 8 across its axis, and 23 along it.
+STIFFER = 12.0
 #: Largest excess of the force at the contact, as a fraction of the desired force.
 OVERSHOOT = 0.5
 #: Fraction of the desired force below which the tip has no contact.
@@ -117,6 +121,8 @@ def press(
     """
     along = desired.direction
     softness = float(along @ compliance @ along)
+    ratio = softness * float(along @ np.linalg.solve(compliance, along))
+    reset = RESET * min(1.0, STIFFER / ratio) if ratio > 0.0 else RESET
     exerted = last.force + period / (FILTER * delay + period) * (-float(along @ force) - last.force)
     rate = last.rate + period / (RATE_FILTER * delay + period) * ((exerted - last.force) / period - last.rate)
     rate = _within(rate, QUICKEST * joints.speed / softness)
@@ -128,7 +134,7 @@ def press(
     crossover *= share
     by_force = crossover * softness * (desired.force - exerted)
     damping = (1.0 - share) * DAMPING * softness * rate if touches else 0.0
-    speed = _within(last.speed + period * RESET * crossover * by_force, joints.speed) if touches else 0.0
+    speed = _within(last.speed + period * reset * crossover * by_force, joints.speed) if touches else 0.0
     highest = min(joints.speed, OVERSHOOT * desired.force * softness / delay)
     if not found:
         highest = min(highest, desired.speed)
