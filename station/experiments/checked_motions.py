@@ -21,7 +21,17 @@ from station.recording.run_folder import write_atomically
 #: Warnings about the load of each checked motion, by the digest of its description.
 Warnings = dict[str, tuple[str, ...]]
 
-FILE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "ctr-station", "checked-motions.json")
+
+def _file() -> Path | None:
+    try:
+        folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:  # a user without a home folder, for example in a container
+        return None
+    return Path(folder, "ctr-station", "checked-motions.json")
+
+
+#: File of the checked motions; None: there is none.
+FILE = _file()
 
 
 class _Saved(Strict):
@@ -37,6 +47,8 @@ def digest(description: str) -> str:
 
 def read() -> Warnings:
     """Return the motions that have passed the check."""
+    if FILE is None:
+        return {}
     try:
         saved = _Saved.model_validate_json(FILE.read_bytes())
     except (OSError, ValidationError):
@@ -46,6 +58,8 @@ def read() -> Warnings:
 
 def write(checked: Warnings) -> None:
     """Add checked motions to the file; another process may have added other motions since `read`."""
+    if FILE is None:
+        return
     with contextlib.suppress(OSError):
         FILE.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(_Saved(fingerprint=_fingerprint(), motions=read() | checked).model_dump_json(), FILE)

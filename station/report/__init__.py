@@ -9,9 +9,9 @@ import contextlib
 import os
 from pathlib import Path
 
-CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "matplotlib")
-
 if "MPLCONFIGDIR" not in os.environ:
-    with contextlib.suppress(OSError):  # if the folder cannot be created, matplotlib uses another and warns
-        CACHE.mkdir(parents=True, exist_ok=True)
-        os.environ["MPLCONFIGDIR"] = str(CACHE)
+    # Without a home folder, or if the folder cannot be created, matplotlib uses another folder and warns.
+    with contextlib.suppress(OSError, RuntimeError):
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "matplotlib")
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ["MPLCONFIGDIR"] = str(folder)

@@ -54,6 +54,12 @@ def test_cache_without_use_costs_only_another_check(file: Path, damage: str) -> 
     assert warnings() == set()
 
 
+def test_user_without_a_home_folder_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checked_motions, "FILE", None)
+    assert warnings() == set()
+    assert checked_motions.read() == {}
+
+
 def test_experiment_with_changes_is_checked_without_the_cache(file: Path) -> None:
     load_experiment("fig3", {"duration": 5.0})
     assert not file.exists()
