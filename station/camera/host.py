@@ -11,17 +11,16 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from station.camera.process import (
+from station.camera.messages import (
     CameraMessage,
     CameraPicture,
     CameraReport,
-    CameraSetup,
     EndVideo,
     ShowBoard,
     StartVideo,
     Watch,
-    run_camera,
 )
+from station.camera.process import CameraSetup, run_camera
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
 from station.control.clock import StationClock

@@ -12,10 +12,9 @@ import socket
 from collections import deque
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from core.robot.robot import Array
+from station.camera.messages import CameraOrder, CameraPicture, CameraReport, EndVideo, ShowBoard, StartVideo, Watch
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
 from station.control.realtime import set_process_name
@@ -54,56 +53,6 @@ class CameraSetup:
     clock: StationClock
     seed: int
     tracks: bool = False  #: whether the camera's pictures measure the tip
-
-
-class Watch(NamedTuple):
-    """Message of the station process: clients need pictures until a time."""
-
-    until: float  #: by the station's clock [s]
-
-
-class StartVideo(NamedTuple):
-    """Message of the station process: record a video until `EndVideo`."""
-
-    folder: Path  #: folder of the run's videos
-    epoch: int  #: wall time at which the station's clock was 0 [ns since 1970]
-
-
-class EndVideo(NamedTuple):
-    """Message of the station process: finish the video, if one is recorded."""
-
-
-class ShowBoard(NamedTuple):
-    """Message of the station process: a simulated camera shows a calibration board instead of the robot."""
-
-    square: float  #: side of the board's squares [m]; 0: show the robot again
-    poses: tuple[tuple[Array, Array], ...]  #: rotation and position of the board, one after the other
-    start: float  #: time of the first pose, by the station's clock [s]
-    each: float  #: time of each pose [s]
-
-
-class CameraPicture(NamedTuple):
-    """Message of the camera: a picture for the clients."""
-
-    number: int  #: number of the frame, from 1
-    time: float  #: exposure by the station's clock [s]
-    jpeg: bytes
-
-
-class CameraReport(NamedTuple):
-    """Message of the camera, sent at regular intervals."""
-
-    problem: str  #: why there are no frames; empty if there are
-    rate: float  #: frames that have arrived in a second [1/s]
-    frames: int  #: number of frames since the start
-    surplus: int  #: number of frames that came too fast and were dropped
-    newest: float | None  #: exposure of the newest frame by the station's clock [s]; None: no frame yet
-    video: int = 0  #: number of frames in the video of the present run, or of the last one
-    video_problem: str = ""  #: why the video ended before its run; empty otherwise
-
-
-CameraMessage = CameraPicture | CameraReport
-CameraOrder = Watch | StartVideo | EndVideo | ShowBoard
 
 
 def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:

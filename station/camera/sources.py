@@ -6,12 +6,13 @@ A frame is first grabbed, which is cheap, and decoded or rendered only if a clie
 import os
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Robot
+from station.camera.messages import ShowBoard
 from station.control.clock import StationClock
 from station.control.ring import SHAPE_PORT, Ring
 from station.devices.cameras import CameraFile, SimulationFile
@@ -25,9 +26,6 @@ import cv2
 
 from station.camera.simulated_board import picture as board_picture
 from station.lab.rendering import Picture, Renderer
-
-if TYPE_CHECKING:
-    from station.camera.process import ShowBoard
 
 cv2.setNumThreads(1)
 #: Folder of the stable names of USB cameras.
@@ -55,7 +53,7 @@ class Source(Protocol):
         """Return the picture of the grabbed frame; None: it cannot be decoded."""
         ...
 
-    def show_board(self, board: "ShowBoard | None") -> None:
+    def show_board(self, board: ShowBoard | None) -> None:
         """Show a calibration board instead of the robot; None: the robot. A real camera ignores it."""
         ...
 
@@ -115,7 +113,7 @@ class UsbCamera:
         good, picture = self._capture.retrieve()
         return np.ascontiguousarray(picture, np.uint8) if good else None
 
-    def show_board(self, board: "ShowBoard | None") -> None:
+    def show_board(self, board: ShowBoard | None) -> None:
         """Do nothing: a person holds the board in front of a real camera."""
 
     def close(self) -> None:
@@ -179,7 +177,7 @@ class SimulatedCamera:
             self._board_picture = number, shown
         return self._board_picture[1]
 
-    def show_board(self, board: "ShowBoard | None") -> None:
+    def show_board(self, board: ShowBoard | None) -> None:
         """Show a calibration board; see `Source`."""
         self._board, self._board_picture = board, None
 

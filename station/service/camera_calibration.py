@@ -17,7 +17,7 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.calibration.files import carry_over, new_folder
 from station.camera.host import CameraHost
-from station.camera.process import CameraPicture, ShowBoard
+from station.camera.messages import CameraPicture, ShowBoard
 from station.config.strict import Strict
 from station.control.bench_calibration import CAMERAS_FILE
 from station.control.states import State

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
 
 from station.camera.host import CameraHost
-from station.camera.process import CameraPicture
+from station.camera.messages import CameraPicture
 from station.config.strict import Name, Strict
 from station.service.camera_calibration import BoardState, CameraCalibration
 from station.service.camera_overlay import CameraOverlay, overlay
