@@ -27,6 +27,7 @@ from station.service.station_file import load_station
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import CLOCK, SETTINGS
+from tests.harness.children import children
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET
 from tests.harness.watched_lab import WatchedLab
@@ -48,7 +49,7 @@ class LoneStation:
 
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-NAME."""
-        (found,) = [c for c in psutil.Process(self.process.pid).children() if c.name() == f"ctr-{name}"]
+        (found,) = children(self.process.pid, f"ctr-{name}")
         return found
 
     def end(self) -> None:

@@ -16,6 +16,7 @@ import httpx
 import psutil
 
 from tests.harness.calm import RATE, SETTINGS
+from tests.harness.children import children
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
 
@@ -103,10 +104,7 @@ class Served:
 
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-control, ctr-lab or ctr-recorder."""
-        for child in psutil.Process(self.process.pid).children():
-            if child.name() == name:
-                return child
-        raise AssertionError(f"there is no {name}")
+        return children(self.process.pid, name)[0]
 
     def control_process(self) -> psutil.Process:
         """Return the child process that runs the control loop."""

@@ -14,6 +14,7 @@ import psutil
 import pytest
 from websockets.sync.client import connect
 
+from tests.harness.children import children
 from tests.harness.serving import Served
 from tests.harness.slow_client import SLOW, slow_client
 from tests.harness.waiting import until
@@ -77,7 +78,7 @@ def _outcome(station: Served, path: str) -> str:
 
 def _names(station: Served) -> list[str]:
     """Return the names of the station's child processes."""
-    return [child.name() for child in psutil.Process(station.process.pid).children()]
+    return [child.name() for child in children(station.process.pid)]
 
 
 @contextmanager

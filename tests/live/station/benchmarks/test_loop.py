@@ -5,9 +5,8 @@ import signal
 import time
 from collections.abc import Callable
 
-import psutil
-
 from station.benchmarks.loop import TimerProbe
+from tests.harness.children import children
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -20,7 +19,7 @@ def until(condition: Callable[[], bool]) -> None:
 def test_timer_probe_counts_wakeups_and_their_lateness():
     with TimerProbe(None) as probe:
         until(lambda: probe.figures()["ticks"] > 100)
-        (process,) = [child for child in psutil.Process().children() if child.name() == "ctr-probe"]
+        (process,) = children(name="ctr-probe")
         probe.clear()
         os.kill(process.pid, signal.SIGSTOP)
         time.sleep(0.1)

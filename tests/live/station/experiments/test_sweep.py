@@ -14,6 +14,7 @@ import pytest
 from station.experiments.manifest import Row
 from station.experiments.sweep import on_processes
 from station.experiments.sweep_plan import jobs, settings
+from tests.harness.children import children
 from tests.harness.waiting import NET, until
 
 
@@ -25,11 +26,11 @@ def own(write, short):
 
 def test_ctrl_c_ends_the_active_runs_of_a_sweep_and_starts_no_other(own):
     listed = jobs(own, settings(["duration=3600.0"]), range(4), "one")
-    others, children = workers(psutil.Process()), list[psutil.Process]()
+    others, ended = workers(), list[psutil.Process]()
 
     def press() -> None:
-        while not children:
-            children[:] = workers(psutil.Process(), others)
+        while not ended:
+            ended[:] = workers(others=others)
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGINT)
 
@@ -40,16 +41,16 @@ def test_ctrl_c_ends_the_active_runs_of_a_sweep_and_starts_no_other(own):
     presser.join()
 
     assert rows == []  # an interrupted run is not reported as finished
-    assert not any(child.is_running() for child in children)
+    assert not any(child.is_running() for child in ended)
 
 
 def test_the_sweep_run_of_a_killed_process_is_repeated_once(own):
     listed, killed = jobs(own, settings(["duration=2.0"]), range(4), "one"), list[int]()
-    others, rows = workers(psutil.Process()), list[Row]()
+    others, rows = workers(), list[Row]()
 
     def report_done(done: float) -> None:
         if done > 1.0 and not killed:
-            killed.append(workers(psutil.Process(), others)[0].pid)
+            killed.append(workers(others=others)[0].pid)
             os.kill(killed[0], signal.SIGKILL)
 
     on_processes(listed, 2, rows.append, report_done)
@@ -57,19 +58,19 @@ def test_the_sweep_run_of_a_killed_process_is_repeated_once(own):
     assert sorted((row["run"], row["completed"]) for row in rows) == [(run, True) for run in range(4)]
 
 
-def workers(parent: psutil.Process, others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
+def workers(parent: int | None = None, others: Sequence[psutil.Process] = ()) -> list[psutil.Process]:
     """Return the processes that a parent has started, without `others` of earlier tests."""
-    return [child for child in parent.children() if "spawn_main" in " ".join(child.cmdline()) and child not in others]
+    return [child for child in children(parent, word="spawn_main") if child not in others]
 
 
 def test_the_worker_processes_of_a_killed_sweep_end(own, environment, tmp_path):
     command = [sys.executable, "-m", "station", "sweep", own, "--seeds", "2", "--jobs", "1", "--set", "duration=3600.0"]
     parent = subprocess.Popen(command, cwd=tmp_path, env=environment)
     try:
-        children = until(lambda: workers(psutil.Process(parent.pid)))
+        started = until(lambda: workers(parent.pid))
         assert len(children) == 1
     finally:
         parent.kill()
         parent.wait()
-    _, left = psutil.wait_procs(children, timeout=NET)
+    _, left = psutil.wait_procs(started, timeout=NET)
     assert left == []

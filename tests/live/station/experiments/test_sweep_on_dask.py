@@ -9,6 +9,7 @@ import sys
 import psutil
 import pytest
 
+from tests.harness.children import children
 from tests.harness.root import ROOT
 from tests.harness.serving import free_port
 from tests.harness.waiting import NET, until
@@ -77,7 +78,7 @@ def test_a_local_dask_cluster_gives_the_rows_of_processes_after_a_worker_is_kill
     )
     try:
         wait_for_rows(dask, 3, client)
-        workers = [one for one in psutil.Process(client.pid).children() if "spawn_main" in " ".join(one.cmdline())]
+        workers = children(client.pid, word="spawn_main")
         workers[0].kill()
         _, errors = client.communicate()
     finally:

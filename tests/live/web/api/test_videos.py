@@ -19,6 +19,7 @@ from station.recording.data_section import TELEMETRY_TOPIC
 from station.recording.read import read_case
 from station.recording.recover import recover
 from tests.harness.camera_ball import ball_centre
+from tests.harness.children import children
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until
 
@@ -96,7 +97,7 @@ def test_killed_camera_keeps_its_frames_and_the_next_process_records_on(station:
     run = start(station, HOLD)
     folder = tmp_path / f"{run}.partial" / "cameras"
     until(lambda: (folder / "side.mcap.partial").is_file() and (folder / "side.mcap.partial").stat().st_size > 40_000)
-    (camera,) = [one for one in psutil.Process(station.process.pid).children() if one.name() == "ctr-camera"]
+    (camera,) = children(station.process.pid, "ctr-camera")
     os.kill(camera.pid, signal.SIGKILL)
     until(lambda: (folder / "side-2.mcap.partial").is_file())
     until(lambda: (folder / "side-2.mcap.partial").stat().st_size > 40_000)

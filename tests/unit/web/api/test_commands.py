@@ -9,6 +9,7 @@ from fastapi import FastAPI
 from starlette.types import Message, Scope
 
 from station.recording.history import RunHistory
+from tests.harness.children import children
 from web.access.identity import Role, Sender
 from web.access.lease import Lease
 from web.api.commands import commands
@@ -19,7 +20,7 @@ SOMEBODY = Sender(Role.OPERATOR, "somebody", "Somebody", "127.0.0.1")
 
 def _drawing() -> list[psutil.Process]:
     """Return the processes that render a report."""
-    return [child for child in psutil.Process().children() if "report" in child.cmdline()]
+    return children(word="report")
 
 
 async def _ask(app: FastAPI, path: str, leaves: asyncio.Event) -> list[Message]:

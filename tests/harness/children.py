@@ -1,0 +1,21 @@
+"""Child processes of a process. A child may end while it is looked at, and is then left out."""
+
+from contextlib import suppress
+
+import psutil
+
+
+def children(parent: int | None = None, name: str = "", word: str = "") -> list[psutil.Process]:
+    """Return the child processes with a name, or with a word in their command line.
+
+    Args:
+        parent: process id; None: this process.
+        name: name of the process as the system lists it; empty: any.
+        word: part of the command line; empty: any.
+    """
+    found: list[psutil.Process] = []
+    for child in psutil.Process(parent).children():
+        with suppress(psutil.NoSuchProcess):  # ended, or ended and not yet collected by its parent
+            if child.name() == (name or child.name()) and (not word or word in " ".join(child.cmdline())):
+                found.append(child)
+    return found
