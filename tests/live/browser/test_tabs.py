@@ -220,6 +220,7 @@ def test_plots_of_the_page_can_be_chosen_paused_and_zoomed(page: Page, station: 
     page.get_by_role("button", name="deflection").click()
     station.post("/api/start", CIRCLE | {"load": {"kind": "constant", "magnitude": 0.3}, "duration": 6.0})
     station.wait_for(lambda s: s["state"] == "READY")
+    page.locator("#ended").get_by_role("button", name="Result").wait_for()  # it moves the charts down
     picture(page, "plots")
     page.get_by_role("button", name="Pause").click()
     force = page.get_by_role("img", name="Force at the tip over time")
@@ -227,6 +228,7 @@ def test_plots_of_the_page_can_be_chosen_paused_and_zoomed(page: Page, station: 
     still = force.evaluate(pixels)
     page.wait_for_timeout(600)
     assert force.evaluate(pixels) == still
+    force.scroll_into_view_if_needed()
     box = force.bounding_box()
     assert box is not None
     page.mouse.move(box["x"] + 150, box["y"] + 60)

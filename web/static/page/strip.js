@@ -20,10 +20,9 @@ function timeLeft() {
 }
 
 /** Return the addition to the error's name in a run that follows a target. */
-const ofTarget = (sample) => (follows(sample) ? " off target" : "");
-/** Return the line below the error: a target that is not visible, or the tracker error beside the true one, which only a virtual lab knows. */
-function belowError(sample) {
-  if (follows(sample) && !sample.target_visible) return "target not seen";
+const ofTarget = (sample) => (follows(sample) ? (sample.target_visible ? " off target" : ", target not seen") : "");
+/** Return the error by the tracker beside the true one, which only a virtual lab knows; empty without a motion. */
+function trackerError(sample) {
   const size = sample && reference(sample) === "true" ? length(error(sample, "tip_measured")) : null;
   return size === null ? "" : `tracker\u00a0error ${size.toFixed(2)}\u00a0mm`;
 }
@@ -34,7 +33,7 @@ const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured
 const fixed = (digits) => (value) => value.toFixed(digits);
 /** Quantity with a colour on the page, name, line below the value, unit, value of the newest sample (or null), format, explanation of a dash, whether the cell may be hidden. */
 const CELLS = [
-  { quantity: "error", name: (sample) => `${reference(sample) === "true" ? "true" : "tracker"} error${ofTarget(sample)}`, below: belowError, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
+  { quantity: "error", name: (sample) => `${reference(sample) === "true" ? "true" : "tracker"} error${ofTarget(sample)}`, below: trackerError, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
   { quantity: "force", name: (sample) => (byDeflection(sample) ? "force, est." : "force"), unit: "N", value: (s) => s && length(s.force_filtered), text: fixed(2), none: "no current force measurement" },
   { name: () => "deflection", unit: "mm", value: (s) => (s && !isTipLost(s) ? length(s.deflection_filtered, 1e3) : null), text: fixed(1), none: "needs a measured tip and force sensors that measure" },
