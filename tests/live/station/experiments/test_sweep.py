@@ -68,7 +68,7 @@ def test_the_worker_processes_of_a_killed_sweep_end(own, environment, tmp_path):
     parent = subprocess.Popen(command, cwd=tmp_path, env=environment)
     try:
         started = until(lambda: workers(parent.pid))
-        assert len(children) == 1
+        assert len(started) == 1
     finally:
         parent.kill()
         parent.wait()

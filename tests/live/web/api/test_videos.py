@@ -115,10 +115,10 @@ def test_killed_station_leaves_a_whole_video(station: Served, tmp_path: Path) ->
     run = start(station, HOLD)
     partial = tmp_path / f"{run}.partial" / "cameras" / "side.mcap.partial"
     until(lambda: partial.is_file() and partial.stat().st_size > 40_000)
-    children = psutil.Process(station.process.pid).children()
+    processes = psutil.Process(station.process.pid).children()
     station.process.kill()
     station.process.wait()
-    psutil.wait_procs(children, 60.0)
+    psutil.wait_procs(processes, 60.0)
 
     until(lambda: recover(tmp_path) or (tmp_path / run).is_dir())
     frames = list(decode_frames(tmp_path / run / "cameras" / "side.mcap"))
