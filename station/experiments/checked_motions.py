@@ -71,6 +71,8 @@ def _fingerprint() -> str:
     found = [version(library) for library in ("numpy", "scipy", "numba")]
     for root in (*core.__path__, *station.__path__):
         for folder, _, names in os.walk(root):
-            files = [Path(folder, name) for name in names if not name.endswith(".pyc")]
+            if Path(folder).name == "__pycache__":
+                continue  # compiled code, to which a run may add
+            files = [Path(folder, name) for name in names]
             found += [f"{file} {(state := file.stat()).st_size} {state.st_mtime_ns}" for file in files]
     return digest("\n".join(sorted(found)))

@@ -16,6 +16,6 @@ def children(parent: int | None = None, name: str = "", word: str = "") -> list[
     found: list[psutil.Process] = []
     for child in psutil.Process(parent).children():
         with suppress(psutil.NoSuchProcess):  # ended, or ended and not yet collected by its parent
-            if child.name() == (name or child.name()) and (not word or word in " ".join(child.cmdline())):
+            if (not name or child.name() == name) and (not word or word in " ".join(child.cmdline())):
                 found.append(child)
     return found

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import core
 from station.experiments import checked_motions
 from station.experiments.experiment import load_experiment
 
@@ -52,6 +53,18 @@ def test_cache_without_use_costs_only_another_check(file: Path, damage: str) -> 
         if damage == "folder":
             file.mkdir()  # it can be neither read nor replaced
     assert warnings() == set()
+
+
+def test_compiled_code_is_no_change_of_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "core" / "__pycache__").mkdir(parents=True)
+    (tmp_path / "core" / "model.py").write_text("")
+    monkeypatch.setattr(core, "__path__", [str(tmp_path / "core")])
+    fingerprint = checked_motions._fingerprint.__wrapped__
+    before = fingerprint()
+    (tmp_path / "core" / "__pycache__" / "model.nbi").write_text("compiled")
+    assert fingerprint() == before
+    (tmp_path / "core" / "model.py").write_text("pass")
+    assert fingerprint() != before
 
 
 def test_user_without_a_home_folder_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
