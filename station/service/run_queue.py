@@ -14,6 +14,7 @@ from core.errors import CtrError
 from station.control.states import LATCHED, RefusedError, State
 from station.service.permits import Permit, VoidError
 from station.service.runs import RunRequest
+from station.service.status import StationStatus
 from station.service.supervisor import Supervisor
 
 #: Interval between two checks of the station's state [s].
@@ -123,16 +124,18 @@ class RunQueue:
         Raises:
             RefusedError: there is no such entry, or it is running.
         """
+        status = self._supervisor.status()
         with self._lock:
             entry = self._entry(number)
-            if entry.state is EntryState.RUNNING:
+            if _runs(entry, status):
                 raise RefusedError(f"'{entry.title}' is running: press STOP to end it")
             self._entries = tuple(one for one in self._entries if one.id != number)
 
     def clear(self) -> None:
         """Remove every entry that is not running."""
+        status = self._supervisor.status()
         with self._lock:
-            self._entries = tuple(one for one in self._entries if one.state is EntryState.RUNNING)
+            self._entries = tuple(one for one in self._entries if _runs(one, status))
 
     def move(self, number: int, by: int) -> None:
         """Move a waiting entry towards the start (`by` < 0) or the end of the queue, within the waiting entries.
@@ -173,8 +176,7 @@ class RunQueue:
     def _watch(self, entry: QueueEntry) -> None:
         """Note the end of the running entry; pause unless the run is complete."""
         status = self._supervisor.status()
-        ended = status.run is None or status.run.id != entry.run or status.state is not State.RUNNING
-        if not ended or status.recording:
+        if _runs(entry, status) or status.recording:
             return
         if status.state is State.READY:
             self._put(replace(entry, state=EntryState.DONE))
@@ -210,3 +212,13 @@ class RunQueue:
             self.pause(f"'{entry.title}' did not start: {error}")
             return
         self._put(replace(entry, state=EntryState.RUNNING, run=run.id))
+
+
+def _runs(entry: QueueEntry, status: StationStatus) -> bool:
+    """Return whether the robot still moves for an entry; the entry's state follows when the recording is complete."""
+    return (
+        entry.state is EntryState.RUNNING
+        and status.state is State.RUNNING
+        and status.run is not None
+        and status.run.id == entry.run
+    )

@@ -97,6 +97,17 @@ def test_all_cases_of_an_experiment_are_queued_by_one_request(station: Served) -
     assert station.post("/api/queue", {"experiment": "fig8", "case": "none"}).status_code == 422
 
 
+def test_clearing_the_queue_removes_a_stopped_run_whose_recording_is_not_complete(station: Served) -> None:
+    station.post("/api/queue", LONG)
+    station.post("/api/queue", SHORT)
+    reached(station, lambda now: now["entries"][0]["state"] == "running")
+    station.wait_for(lambda s: s["phase"] == "moving")
+    station.post("/api/stop")
+    station.wait_for(lambda s: s["state"] == "STOPPED")
+    assert station.rest.delete("/api/queue").json()["entries"] == []
+    assert reached(station, lambda now: now["paused"] != "")["entries"] == []
+
+
 def test_queue_is_bounded(station: Served) -> None:
     station.post("/api/queue", LONG)
     for _ in range(3):
