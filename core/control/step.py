@@ -322,7 +322,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     if controller.regions:
         correction = _shape_correction(controller, correction, now, sample)
         near = _observed_tubes(controller, correction, now)
-        clearance = min(clearance, *(region.clearance(near).distance for region in controller.regions))
+        clearance = min(clearance, *(region.smallest_distance(near) for region in controller.regions))
     if isinstance(order, Setpoint):
         followed = order
         if controller.stiffness is not None:

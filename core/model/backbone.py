@@ -50,16 +50,17 @@ def backbone(
         weights: displacement of each point over that of the tip (m, 3, 3); None: the square of the point's share of
             the length, because the model's error grows toward the tip.
     """
-    found, shares = _sampled(
-        statics, solution, len(statics.robot.joints), NO_FORCE_RATE if expected is None else expected.force_rate
-    )
+    n = len(statics.robot.joints)
+    if expected is None:
+        expected = ExpectedMotion(np.zeros(n), NO_FORCE_RATE, np.zeros(3), 0.0)
+    found, shares = _sampled(statics, solution, n, expected.force_rate)
     if weights is None:
         weights = shares[:, None, None] ** 2 * np.eye(3)
-    if expected is not None:
-        found.drift[:] += weights @ expected.tip_drift
-        found.ahead[:] = found.jacobian @ expected.travel + expected.lead_time * found.drift
-    if tip is not None:
-        found.points[:] += weights @ (tip - solution.tip)
+    displacement = np.zeros(3) if tip is None else tip - solution.tip
+    _move(
+        found.points, found.jacobian, found.drift, found.ahead, weights, displacement, expected.travel,
+        expected.tip_drift, expected.lead_time,
+    )  # fmt: skip
     return found
 
 
@@ -130,6 +131,22 @@ def _sample(
                 for tube in range(q):
                     if s <= ends[tube] + FLUSH_TOLERANCE_M:
                         radii[i] = max(radii[i], outer_radii[tube])
+
+
+@compiled
+def _move(
+    points: Array, jacobian: Array, drift: Array, ahead: Array, weights: Array, displacement: Array, travel: Array,
+    tip_drift: Array, lead_time: float,
+) -> None:  # fmt: skip
+    """Move the points with the tip's displacement, add its drift to theirs, and write how far they move ahead."""
+    for i in range(points.shape[0]):
+        for k in range(3):
+            for l in range(3):  # noqa: E741 - pairs with k
+                points[i, k] += weights[i, k, l] * displacement[l]
+                drift[i, k] += weights[i, k, l] * tip_drift[l]
+            ahead[i, k] = lead_time * drift[i, k]
+            for j in range(travel.size):
+                ahead[i, k] += jacobian[i, k, j] * travel[j]
 
 
 @compiled

@@ -61,6 +61,7 @@ class Mesh(NamedTuple):
 
     triangles: Array  #: (t, 3, 3) corners, world frame [m]; seen from outside they are counter-clockwise
     normals: Array  #: (t, 3) outward unit vectors
+    spheres: Array  #: (t, 4) centre and radius of a sphere around each triangle [m]
     origin: Array  #: (3,) corner of the first cell [m]
     size: NDArray[np.int64]  #: (3,) number of cells along each axis
     starts: NDArray[np.int64]  #: (cells + 1,) index of the first candidate of each cell
@@ -72,6 +73,7 @@ class Mesh(NamedTuple):
 NO_MESH = Mesh(
     np.empty((0, 3, 3)),
     np.empty((0, 3)),
+    np.empty((0, 4)),
     np.zeros(3),
     np.zeros(3, np.int64),
     np.zeros(1, np.int64),
@@ -101,7 +103,10 @@ def mesh(triangles: Array) -> Mesh:
     triangles = np.ascontiguousarray(triangles)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    return Mesh(triangles, normals, origin, size, *_candidates(triangles, origin, size))
+    centroids = triangles.mean(axis=1)
+    radii = np.linalg.norm(triangles - centroids[:, None], axis=2).max(axis=1)
+    spheres = np.column_stack((centroids, radii * (1.0 + 1e-9)))  # rounding must not leave a corner outside
+    return Mesh(triangles, normals, spheres, origin, size, *_candidates(triangles, spheres, origin, size))
 
 
 @dataclass(frozen=True)
@@ -161,6 +166,10 @@ class KeepOut:
         rows, signed, _ = self.evaluated(at.backbone)
         return rows, np.maximum(signed, 0.0)
 
+    def smallest_distance(self, near: Backbone) -> float:
+        """Return the distance of `clearance` [m]."""
+        return float(self.evaluated(near)[2][:, 0].min())
+
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
         parts = self.evaluated(near)[2]
@@ -212,12 +221,13 @@ def region_at(limits: Sequence[object], point: Array) -> str | None:
 
 @compiled
 def _rows(
-    region: Array, triangles: Array, normals: Array, origin: Array, size: NDArray[np.int64], starts: NDArray[np.int64],
-    candidates: NDArray[np.int64], distances: Array, points: Array, radii: Array, jacobian: Array, drift: Array,
-    ahead: Array, along: int, braking: float, retreat: float, rows: Array, room: Array, nearest: Array,
+    region: Array, triangles: Array, normals: Array, spheres: Array, origin: Array, size: NDArray[np.int64],
+    starts: NDArray[np.int64], candidates: NDArray[np.int64], distances: Array, points: Array, radii: Array,
+    jacobian: Array, drift: Array, ahead: Array, along: int, braking: float, retreat: float, rows: Array, room: Array,
+    nearest: Array,
 ) -> None:  # fmt: skip
     """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
-    surface = Mesh(triangles, normals, origin, size, starts, candidates, distances)
+    surface = Mesh(triangles, normals, spheres, origin, size, starts, candidates, distances)
     sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
     point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     room[:], nearest[:, 0] = 1.0 / braking, np.inf
@@ -399,12 +409,15 @@ def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
     for i in range(surface.starts[cell], surface.starts[cell + 1]):
         if surface.distances[i] - from_centre > reachable:
             break
-        square = _to_triangle(surface.triangles, surface.candidates[i], point, offset)
+        candidate = surface.candidates[i]
+        if not _may_reach(surface.normals, surface.spheres, candidate, point, reachable):
+            continue
+        square = _to_triangle(surface.triangles, candidate, point, offset)
         if square > best * (1.0 + 1e-9):
             continue
         # At an edge or a corner several triangles are equally near; the one that the point is farthest from as a plane
         # decides whether the point is inside.
-        normal = surface.normals[surface.candidates[i]]
+        normal = surface.normals[candidate]
         height = normal[0] * offset[0] + normal[1] * offset[1] + normal[2] * offset[2]
         if square < best * (1.0 - 1e-9) or abs(height) > abs(side):
             side = height
@@ -432,6 +445,21 @@ def _product(a: Array, b: Array) -> float:
 def _square(a: Array, b: Array) -> float:
     """Return the square of the distance of two points [m^2]."""
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
+
+
+@compiled
+def _may_reach(normals: Array, spheres: Array, t: int, point: Array, reachable: float) -> bool:
+    """Return False if triangle number t is certainly farther from `point` than `reachable` [m].
+
+    The triangle is inside a disc of its plane, around the centre of its sphere.
+    """
+    height, square = 0.0, 0.0
+    for k in range(3):
+        offset = point[k] - spheres[t, k]
+        height += normals[t, k] * offset
+        square += offset * offset
+    left = reachable * reachable - height * height
+    return left >= 0.0 and square - height * height <= (spheres[t, 3] + np.sqrt(left)) ** 2
 
 
 @compiled
@@ -475,16 +503,15 @@ def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float
 
 
 def _candidates(
-    triangles: Array, origin: Array, size: NDArray[np.int64]
+    triangles: Array, spheres: Array, origin: Array, size: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Return the triangles that can be nearest to a point of each cell: `starts`, `candidates`, `distances`."""
     import scipy.spatial  # pyright: ignore[reportMissingTypeStubs] # only for meshes, because its import takes a third of a second
 
-    centroids = triangles.mean(axis=1)
-    largest = float(np.linalg.norm(triangles - centroids[:, None], axis=2).max())
     index = np.indices(tuple(size.tolist())).reshape(3, -1).T
     centres = origin + CELL_M * (index + 0.5)
-    tree, diagonal = cast(Any, scipy.spatial).KDTree(centroids), math.sqrt(3.0) * CELL_M
+    tree, diagonal = cast(Any, scipy.spatial).KDTree(spheres[:, :3]), math.sqrt(3.0) * CELL_M
+    largest = float(spheres[:, 3].max())
     bounds: Array = tree.query(centres)[0]
     starts, found, away = np.zeros(len(centres) + 1, np.int64), list[NDArray[np.int64]](), list[Array]()
     for cell, (centre, bound) in enumerate(zip(centres, bounds, strict=True)):
