@@ -16,6 +16,7 @@ from station.config.loads import Load
 from station.config.motions import Motion, Orders
 from station.config.regions import RegionFile, keep_out
 from station.config.robots import load_robot
+from station.control.bench_calibration import BenchCalibration
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.control.task import MotionTask, Phase
@@ -87,12 +88,16 @@ def clearance_at_setpoint(controller: Controller, channels: Channels, row: Array
 
 def run_between(
     regions: Sequence[RegionFile], motion: Motion, duration: float, load: Load, *, limited: bool = True,
-    lab: str = "gentle", seed: int = 0,
+    lab: str = "gentle", seed: int = 0, calibration: BenchCalibration | None = None,
 ) -> ClearanceRun:  # fmt: skip
     """Run a motion under a load in the virtual lab; `limited`: whether the controller knows the regions."""
-    config = load_lab(lab, ROBOT)
-    controller = CONTROLLER.controller(ROBOT, config.present, regions if limited else [])
-    limits, (bench, devices) = keep_out(regions), virtual_bench(ROBOT, config, seed, START)
+    config, known, registration = load_lab(lab, ROBOT), ROBOT, None
+    if calibration is not None:
+        known, registration = calibration.robot, calibration.registration
+    controller = CONTROLLER.controller(known, config.present, regions if limited else [])
+    if calibration is not None:
+        controller = calibration.applied(controller)
+    limits, (bench, devices) = keep_out(regions), virtual_bench(ROBOT, config, seed, START, registration)
     assert isinstance(bench, SimulatedBench)
     loop, true, recorded, tick, loaded = ControlLoop(controller, devices), np.inf, np.inf, 0, False
     last = np.empty(0)

@@ -1,16 +1,19 @@
-"""Random motions between obstacles or in a lumen: `python -m tests.tools.keep_out_runs LAB RUNS [FORCE [SEED [KIND]]]`.
+"""Random motions between obstacles or in a lumen.
 
-With the KIND `spheres` each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least
-2 mm from the true ones. With the KIND `lumen` the tubes are inside a mesh of 2016 triangles around those of the start
+`python -m tests.tools.keep_out_runs LAB [--kind lumen] [--runs 10] [--first 0] [--force 0.3] [--calibrated]`
+
+With the kind `spheres` each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least
+2 mm from the true ones. With the kind `lumen` the tubes are inside a mesh of 2016 triangles around those of the start
 pose, with a radius of 6 to 12 mm that changes along the axis. Each run has four random waypoints within 12 mm, and a
-load of up to FORCE (0.3 N) in a random direction, which rises in 5 s.
+load of up to `--force` [N] in a random direction, which rises in 5 s. With `--calibrated` the bench of each seed is
+first calibrated by itself.
 
 The program prints the smallest clearance of the true tubes, less the margin of 1 mm, and how many motions ended in
 HOLD. The path is not checked before its start, so it may lead through a region: the tubes of the controller's model
 then miss the margin if their tip is at the setpoint, or the setpoint has passed the region.
 """
 
-import sys
+import argparse
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,11 +26,13 @@ from core.robot.robot import Array
 from station.config.loads import RampLoad
 from station.config.motions import WaypointsMotion
 from station.config.regions import MeshRegion, RegionFile, SphereRegion, keep_out
+from station.control.bench_calibration import BenchCalibration
 from station.lab.config import load_lab
 from station.lab.simulated_bench import SimulatedBench
 from station.lab.virtual_bench import virtual_bench
 from tests.harness.lumen_mesh import write_lumen
 from tests.harness.true_clearance import CONTROLLER, ROBOT, START, run_between, true_clearance
+from tests.tools.calibrated_runs import write
 
 SPHERES, DURATION_S = 3, 16.0
 
@@ -70,30 +75,41 @@ def random_lumen(random: np.random.Generator, bench: SimulatedBench, folder: Pat
 
 def main() -> None:
     """Run and print."""
-    lab, runs = sys.argv[1], int(sys.argv[2])
-    largest = float(sys.argv[3]) if len(sys.argv) > 3 else 0.3
-    first = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-    kind = sys.argv[5] if len(sys.argv) > 5 else "spheres"
-    smallest, stopped, through, folder = np.inf, 0, 0, Path(tempfile.mkdtemp())
-    for seed in range(first, first + runs):
+    parser = argparse.ArgumentParser(description="Run random motions between obstacles or in a lumen.")
+    parser.add_argument("lab", choices=("gentle", "realistic"))
+    parser.add_argument("--kind", choices=("spheres", "lumen"), default="spheres")
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--force", type=float, default=0.3, help="largest load [N]")
+    parser.add_argument("--calibrated", action="store_true", help="calibrate the bench of each seed first")
+    wanted = parser.parse_args()
+    lab, smallest, stopped, through, folder = wanted.lab, np.inf, 0, 0, Path(tempfile.mkdtemp())
+    for seed in range(wanted.first, wanted.first + wanted.runs):
         random = np.random.default_rng(seed)
         bench, _ = virtual_bench(ROBOT, load_lab(lab, ROBOT), seed, START)
         assert isinstance(bench, SimulatedBench)
         regions: Sequence[RegionFile] = (
-            random_lumen(random, bench, folder) if kind == "lumen" else random_spheres(random, bench)
+            random_lumen(random, bench, folder) if wanted.kind == "lumen" else random_spheres(random, bench)
         )
         corners = [(4.0 * (number + 1), *random.uniform(-0.012, 0.012, 3).tolist()) for number in range(4)]
         motion = WaypointsMotion(points=((0.0, 0.0, 0.0, 0.0), *corners))
         direction = random.normal(size=3)
         load = RampLoad(
-            direction=tuple(direction.tolist()), times=(1.0, 6.0), magnitudes=(0.0, random.uniform(0.0, largest))
+            direction=tuple(direction.tolist()), times=(1.0, 6.0), magnitudes=(0.0, random.uniform(0.0, wanted.force))
         )
-        found = run_between(regions, motion, DURATION_S, load, lab=lab, seed=seed)
+        calibration = None
+        if wanted.calibrated:
+            own = folder / str(seed)
+            own.mkdir()
+            write(own, lab, seed)
+            calibration = BenchCalibration.load(own, ROBOT)
+        found = run_between(regions, motion, DURATION_S, load, lab=lab, seed=seed, calibration=calibration)
         smallest, stopped = min(smallest, found.true), stopped + bool(found.cause)
         through += found.at_setpoint < 0.0 or found.cause.startswith("the path leads through the region")
         hold = f", at the setpoint {1e3 * found.at_setpoint:.2f} mm: {found.cause}" if found.cause else ""
         print(f"{seed}: true {1e3 * found.true:.3f}, recorded {1e3 * found.recorded:.3f} mm{hold}", flush=True)  # noqa: T201
-    print(f"smallest of {runs}: {1e3 * smallest:.3f} mm; {stopped} ended in HOLD, {through} on a path through a region")  # noqa: T201
+    ended = f"{stopped} ended in HOLD, {through} on a path through a region"
+    print(f"smallest of {wanted.runs}: {1e3 * smallest:.3f} mm; {ended}")  # noqa: T201
 
 
 if __name__ == "__main__":
