@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from core.errors import CtrError
-from core.robot.keep_out import KeepOut, Mesh, Region, mesh
+from core.robot.keep_out import KeepOut
+from core.robot.regions import Mesh, Region, mesh
 from core.robot.robot import Base
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector
 

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from core.robot.keep_out import KeepOut, Region, smallest_clearance
+from core.robot.keep_out import KeepOut, smallest_clearance
 from core.robot.limits import Backbone, Limit
+from core.robot.regions import Region
 from core.robot.robot import Array, Indices
 from station.config import palette
 

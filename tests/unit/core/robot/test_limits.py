@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from core.errors import DescriptionError, PoseError
-from core.robot.keep_out import KeepOut, Region
+from core.robot.keep_out import KeepOut
 from core.robot.limits import Configuration, ForceLimit, JointLimit, Limits, TubeOrder, Workspace
+from core.robot.regions import Region
 
 DEGREE = math.pi / 180.0
 SLIDE = JointLimit("inner_translation", "m", -0.130, -0.005, speed=0.020, acceleration=0.100)

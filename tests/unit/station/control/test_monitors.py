@@ -14,7 +14,8 @@ from core.control.trajectories import Setpoint
 from core.control.velocity_ik import SIGMA_FLOOR_M_S
 from core.model.solution import pure_force
 from core.model.statics import Statics
-from core.robot.keep_out import KeepOut, Region
+from core.robot.keep_out import KeepOut
+from core.robot.regions import Region
 from station.config.robots import load_robot
 from station.control.monitors import (
     CONFIRMING_FRAMES,

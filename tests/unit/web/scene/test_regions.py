@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from core.robot.keep_out import Region, mesh
+from core.robot.regions import Region, mesh
 from web.scene.regions import surface
 
 TURN = trimesh.transformations.rotation_matrix(0.7, (1.0, 2.0, 3.0))[:3, :3]

@@ -1,0 +1,301 @@
+"""Regions of the workspace, and the signed distance of a point to them: negative inside, with its direction of growth.
+
+The distance to a mesh is that to its nearest triangle. A grid of cells around the surface keeps the triangles that can
+be nearest to a point of each cell, the nearest ones to the cell's centre first. A triangle is tried only if the disc
+around it in its plane can be nearer than the nearest triangle so far.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.compiled import compiled
+from core.errors import DescriptionError
+from core.robot.robot import Array
+
+#: Kinds of regions in packed numbers.
+SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
+#: Edge of the cells in which the nearest triangles of a mesh are looked up, and distance that the cells cover [m].
+CELL_M, REACH_M = 0.005, 0.030
+#: Largest number of triangles of a mesh, and of its cells.
+MAX_TRIANGLES, MAX_CELLS = 100_000, 400_000
+
+
+class Mesh(NamedTuple):
+    """Closed surface of triangles, with the candidates for the nearest triangle to the points of each cell."""
+
+    triangles: Array  #: (t, 3, 3) corners, world frame [m]; seen from outside they are counter-clockwise
+    normals: Array  #: (t, 3) outward unit vectors
+    spheres: Array  #: (t, 4) centre and radius of a sphere around each triangle [m]
+    origin: Array  #: (3,) corner of the first cell [m]
+    size: NDArray[np.int64]  #: (3,) number of cells along each axis
+    starts: NDArray[np.int64]  #: (cells + 1,) index of the first candidate of each cell
+    candidates: NDArray[np.int64]  #: (k,) indices of triangles, for each cell the nearest to its centre first
+    distances: Array  #: (k,) their distances from the centre of the cell [m]
+
+
+#: Mesh of regions that have none.
+NO_MESH = Mesh(
+    np.empty((0, 3, 3)),
+    np.empty((0, 3)),
+    np.empty((0, 4)),
+    np.zeros(3),
+    np.zeros(3, np.int64),
+    np.zeros(1, np.int64),
+    np.empty(0, np.int64),
+    np.empty(0),
+)
+
+
+def mesh(triangles: Array) -> Mesh:
+    """Return the mesh of closed, outward triangles (t, 3, 3) [m].
+
+    Raises:
+        DescriptionError: no triangle, too many, or corners that are not finite.
+    """
+    if triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not 0 < len(triangles) <= MAX_TRIANGLES:
+        raise DescriptionError(f"a mesh has {len(triangles)} triangles; 1 ... {MAX_TRIANGLES} are possible")
+    if not np.isfinite(triangles).all():
+        raise DescriptionError("a mesh has corners that are not finite")
+    corners = triangles.reshape(-1, 3)
+    origin = corners.min(axis=0) - REACH_M
+    size = np.ceil((corners.max(axis=0) + REACH_M - origin) / CELL_M).astype(np.int64)
+    if np.prod(size.astype(float)) > MAX_CELLS:
+        extent = (1e3 * np.ptp(corners, axis=0)).round().astype(int).tolist()
+        raise DescriptionError(
+            f"a mesh of {extent} mm is too large; is its unit right? Cut it to the robot's workspace"
+        )
+    triangles = np.ascontiguousarray(triangles)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    centroids = triangles.mean(axis=1)
+    radii = np.linalg.norm(triangles - centroids[:, None], axis=2).max(axis=1)
+    spheres = np.column_stack((centroids, radii * (1.0 + 1e-9)))  # rounding must not leave a corner outside
+    return Mesh(triangles, normals, spheres, origin, size, *_candidates(triangles, spheres, origin, size))
+
+
+@dataclass(frozen=True)
+class Region:
+    """A region of the workspace, world frame."""
+
+    name: str
+    kind: Literal["sphere", "capsule", "box", "half_space", "mesh"]
+    #: sphere: centre, radius; capsule: two ends, radius; box: centre, half edges, rotation (9, by rows); half-space:
+    #: point, outward normal; mesh: none [m]
+    numbers: tuple[float, ...]
+    inside: bool = False  #: whether the tubes must stay inside instead of outside
+    margin: float = 0.001  #: smallest allowed distance between region and tubes [m]
+    mesh: Mesh = NO_MESH
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (*self.numbers, self.margin))):
+            raise DescriptionError(f"region '{self.name}' has a number that is not finite")
+        if self.kind == "half_space" and abs(math.hypot(*self.numbers[3:6]) - 1.0) > 1e-6:
+            raise DescriptionError(f"region '{self.name}': the normal must have length 1")
+
+    @cached_property
+    def packed(self) -> Array:
+        """Kind, sign (-1: the tubes must stay inside), margin, and the numbers, padded (18,)."""
+        kind = ("sphere", "capsule", "box", "half_space", "mesh").index(self.kind)
+        return np.array([kind, -1.0 if self.inside else 1.0, self.margin, *self.numbers, *[0.0] * 18])[:18]
+
+    def distance(self, point: Array) -> tuple[float, Array]:
+        """Return the signed distance of a point (3,) [m], negative inside, and the direction (3,) of its growth."""
+        direction = np.zeros(3)
+        return float(signed_distance(self.packed, self.mesh, point, direction)), direction
+
+
+@compiled
+def signed_distance(region: Array, surface: Mesh, point: Array, direction: Array) -> float:
+    """Return the signed distance of a point, negative inside; write the direction in which it grows."""
+    kind, numbers = int(region[0]), region[3:]
+    if kind == MESH:
+        return _mesh_distance(surface, point, direction)
+    if kind == HALF_SPACE:
+        distance = 0.0
+        for k in range(3):
+            direction[k] = numbers[3 + k]
+            distance += (point[k] - numbers[k]) * numbers[3 + k]
+        return distance
+    if kind == BOX:
+        return _box_distance(numbers, point, direction)
+    share = 0.0
+    if kind == CAPSULE:
+        square = 0.0
+        for k in range(3):
+            axis = numbers[3 + k] - numbers[k]
+            share += axis * (point[k] - numbers[k])
+            square += axis * axis
+        share = min(max(share / square, 0.0), 1.0) if square > 0.0 else 0.0
+    for k in range(3):
+        direction[k] = point[k] - numbers[k]
+        if kind == CAPSULE:
+            direction[k] -= share * (numbers[3 + k] - numbers[k])
+    return _normalised(direction) - numbers[6 if kind == CAPSULE else 3]
+
+
+@compiled
+def _normalised(direction: Array) -> float:
+    """Scale a vector to length 1 and return its former length; a vector of length 0 becomes the z axis."""
+    length = np.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    for k in range(3):
+        direction[k] = direction[k] / length if length > 0.0 else (1.0 if k == 2 else 0.0)
+    return length
+
+
+@compiled
+def _box_distance(numbers: Array, point: Array, direction: Array) -> float:
+    """Compute `signed_distance` for a box: centre, half edges, rotation by rows."""
+    local, out = np.zeros(3), np.zeros(3)
+    deepest, axis, outside = -np.inf, 0, 0.0
+    for k in range(3):
+        for i in range(3):
+            local[k] += numbers[6 + 3 * i + k] * (point[i] - numbers[i])
+        beyond = abs(local[k]) - numbers[3 + k]
+        out[k] = (1.0 if local[k] >= 0.0 else -1.0) * max(beyond, 0.0)
+        outside += out[k] * out[k]
+        if beyond > deepest:
+            deepest, axis = beyond, k
+    if outside == 0.0:
+        out[axis] = 1.0 if local[axis] >= 0.0 else -1.0
+    for i in range(3):
+        direction[i] = 0.0
+        for k in range(3):
+            direction[i] += numbers[6 + 3 * i + k] * out[k]
+    _normalised(direction)
+    return np.sqrt(outside) if outside > 0.0 else deepest
+
+
+@compiled
+def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
+    """Compute `signed_distance` for a mesh; beyond its cells the distance is `REACH_M` without a direction."""
+    cell = 0
+    for k in range(3):
+        index = int(np.floor((point[k] - surface.origin[k]) / CELL_M))
+        if not 0 <= index < surface.size[k]:
+            direction[:] = 0.0
+            return REACH_M
+        cell = cell * surface.size[k] + index
+    best, reachable, side, offset, from_centre = np.inf, np.inf, 1.0, np.empty(3), 0.0
+    for k in range(3):
+        within = point[k] - surface.origin[k]
+        from_centre += (within - CELL_M * (np.floor(within / CELL_M) + 0.5)) ** 2
+    from_centre = np.sqrt(from_centre)
+    for i in range(surface.starts[cell], surface.starts[cell + 1]):
+        if surface.distances[i] - from_centre > reachable:
+            break
+        candidate = surface.candidates[i]
+        if not _may_reach(surface.normals, surface.spheres, candidate, point, reachable):
+            continue
+        square = _to_triangle(surface.triangles, candidate, point, offset)
+        if square > best * (1.0 + 1e-9):
+            continue
+        # At an edge or a corner several triangles are equally near; the one that the point is farthest from as a plane
+        # decides whether the point is inside.
+        normal = surface.normals[candidate]
+        height = normal[0] * offset[0] + normal[1] * offset[1] + normal[2] * offset[2]
+        if square < best * (1.0 - 1e-9) or abs(height) > abs(side):
+            side = height
+        if square < best:
+            best, reachable = square, np.sqrt(square) * (1.0 + 1e-9)
+        for k in range(3):
+            direction[k] = offset[k]
+    distance = _normalised(direction)
+    if distance < 1e-9:  # on the surface: grows along the normal of the triangle
+        return 0.0
+    if side < 0.0:
+        for k in range(3):
+            direction[k] = -direction[k]
+        return -distance
+    return distance
+
+
+@compiled
+def _may_reach(normals: Array, spheres: Array, t: int, point: Array, reachable: float) -> bool:
+    """Return False if triangle number t is certainly farther from `point` than `reachable` [m].
+
+    The triangle is inside a disc of its plane, around the centre of its sphere.
+    """
+    height, square = 0.0, 0.0
+    for k in range(3):
+        offset = point[k] - spheres[t, k]
+        height += normals[t, k] * offset
+        square += offset * offset
+    left = reachable * reachable - height * height
+    return left >= 0.0 and square - height * height <= (spheres[t, 3] + np.sqrt(left)) ** 2
+
+
+@compiled
+def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float:
+    """Write the vector from the nearest point of triangle number t to `point`; return its square [m^2].
+
+    The nearest point is found by the regions of Ericson, Real-Time Collision Detection (2005), 5.1.5.
+    """
+    d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        ab, ac = triangles[t, 1, k] - triangles[t, 0, k], triangles[t, 2, k] - triangles[t, 0, k]
+        d1 += ab * (point[k] - triangles[t, 0, k])
+        d2 += ac * (point[k] - triangles[t, 0, k])
+        d3 += ab * (point[k] - triangles[t, 1, k])
+        d4 += ac * (point[k] - triangles[t, 1, k])
+        d5 += ab * (point[k] - triangles[t, 2, k])
+        d6 += ac * (point[k] - triangles[t, 2, k])
+    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+    v, w = 0.0, 0.0  # nearest point: corner 0 + v (corner 1 - corner 0) + w (corner 2 - corner 0)
+    if d1 <= 0.0 and d2 <= 0.0:
+        pass
+    elif d3 >= 0.0 and d4 <= d3:
+        v = 1.0
+    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+    elif d6 >= 0.0 and d5 <= d6:
+        w = 1.0
+    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        v = 1.0 - w
+    else:
+        v, w = vb / (va + vb + vc), vc / (va + vb + vc)
+    square = 0.0
+    for k in range(3):
+        nearest = (1.0 - v - w) * triangles[t, 0, k] + v * triangles[t, 1, k] + w * triangles[t, 2, k]
+        offset[k] = point[k] - nearest
+        square += offset[k] * offset[k]
+    return square
+
+
+def _candidates(
+    triangles: Array, spheres: Array, origin: Array, size: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return the triangles that can be nearest to a point of each cell: `starts`, `candidates`, `distances`."""
+    import scipy.spatial  # pyright: ignore[reportMissingTypeStubs] # only for meshes, because its import takes a third of a second
+
+    index = np.indices(tuple(size.tolist())).reshape(3, -1).T
+    centres = origin + CELL_M * (index + 0.5)
+    tree, diagonal = cast(Any, scipy.spatial).KDTree(spheres[:, :3]), math.sqrt(3.0) * CELL_M
+    largest = float(spheres[:, 3].max())
+    bounds: Array = tree.query(centres)[0]
+    starts, found, away = np.zeros(len(centres) + 1, np.int64), list[NDArray[np.int64]](), list[Array]()
+    for cell, (centre, bound) in enumerate(zip(centres, bounds, strict=True)):
+        near = np.array(tree.query_ball_point(centre, bound + diagonal + largest), np.int64)
+        distances = _distances(triangles, near, centre)
+        order = np.argsort(distances, kind="stable")
+        order = order[distances[order] <= distances.min() + diagonal]
+        found.append(near[order])
+        away.append(distances[order])
+        starts[cell + 1] = starts[cell] + order.size
+    return starts, np.concatenate(found), np.concatenate(away)
+
+
+@compiled
+def _distances(triangles: Array, near: NDArray[np.int64], point: Array) -> Array:
+    """Return the distances [m] of the triangles `near` (k,) to a point."""
+    found, offset = np.empty(near.shape[0]), np.empty(3)
+    for i in range(near.shape[0]):
+        found[i] = np.sqrt(_to_triangle(triangles, near[i], point, offset))
+    return found
