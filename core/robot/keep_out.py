@@ -45,7 +45,7 @@ ROWS = 1 + PROBES + 2
 #: Distance by which the clearance may be missed, because the limit lets the tubes come close to the margin [m].
 TOLERANCE_M = 1e-4
 #: Clearance at which the tubes stop [m]; the noise of the observed tip changes the clearance by about as much.
-RESERVE_M = 5e-5
+RESERVE_M = 8e-5
 #: Time constant of a retreat [s], twice the delay of the stages.
 RETREAT_TIME_S = 0.15
 
