@@ -171,7 +171,10 @@ class Setpoints:
 
 
 class Station:
-    """Connection of a script to a running station over its REST interface."""
+    """Connection of a script to a running station over its REST interface.
+
+    The first command other than STOP waits while a station that has just started connects to its devices.
+    """
 
     def __init__(self, url: str = "http://127.0.0.1:8000", token: str | None = None, name: str = "script") -> None:
         """Prepare the connection, which the first request opens.
@@ -187,7 +190,7 @@ class Station:
             headers["authorization"] = f"Bearer {token}"
         self._headers = headers
         self._http = httpx.Client(base_url=url, headers=headers, timeout=REQUEST_TIMEOUT_S)
-        self._format_checked = False
+        self._format_checked = self._connected = False
 
     def __enter__(self) -> Self:
         return self
@@ -431,8 +434,18 @@ class Station:
             )
         self._format_checked = True
 
+    def _wait_connected(self) -> None:
+        """Wait at most `REQUEST_TIMEOUT_S` while the station connects to its devices; do this once."""
+        deadline = time.monotonic() + REQUEST_TIMEOUT_S
+        while not self._connected and time.monotonic() < deadline:
+            self._connected = self._send("GET", "/api/status")["state"] != "CONNECTING"
+            if not self._connected:
+                time.sleep(POLL_INTERVAL_S)
+
     def _request(self, method: str, path: str, body: Any = None) -> Any:
         self._check_format()
+        if method == "POST" and path != "/api/stop":
+            self._wait_connected()
         return self._send(method, path, body)
 
     def _send(self, method: str, path: str, body: Any = None) -> Any:

@@ -115,15 +115,7 @@ def serve_web(
     view = SceneView(scene, service)
     try:
         server = _server(build_app(service, view, calibration, data, audit, host, port, tokens, gateway))
-        slow = threading.Timer(SLOW_START_S, out.print, [COMPILING])
-        slow.start()
-        try:
-            supervisor.wait_ready(START_TIMEOUT_S)  # returns after the control process has started
-        finally:
-            slow.cancel()
-        gc.freeze()  # what the start has created exists until the end, so a collection does not have to check it
-        gc.enable()
-        # The main thread only waits for signals.
+        # The main thread only waits for the station and for signals.
         ended = threading.Event()
 
         def run() -> None:
@@ -133,21 +125,22 @@ def serve_web(
                 ended.set()
 
         web = threading.Thread(target=run, name="web")
-        page = f"http://{_bracketed(host)}:{port}/"
-        url = page + (f"?token={tokens.operator}" if tokens else "")
-        if tokens:
-            out.print(f"read-only: {page}?token={tokens.viewer}")
-        out.print(f"ctr-station is at {url}   (Ctrl-C stops it)")
-        sys.stdout.flush()
-        if browser and sys.stdout.isatty():
-            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+        slow = threading.Timer(SLOW_START_S, out.print, [COMPILING])
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                web.start()
+                web.start()  # before the devices are connected, which takes two seconds: the page shows their progress
+                _print_address(out, host, port, tokens, browser=browser)
+                slow.start()
+                supervisor.wait_started(START_TIMEOUT_S)
+                slow.cancel()
+                # What the start has created exists until the end, so a collection does not have to check it.
+                gc.freeze()
+                gc.enable()
                 # `join` is not used: Python 3.11 considers a thread ended when a signal interrupts `join` (bpo-45274).
                 while not (ended.wait(0.5) or interrupted()):
                     pass
         finally:
+            slow.cancel()
             supervisor.end_control()
             server.should_exit = True
             if web.ident is not None:
@@ -159,6 +152,18 @@ def serve_web(
         view.close()
         with contextlib.redirect_stdout(io.StringIO()):
             scene.stop()
+
+
+def _print_address(out: Console, host: str, port: int, tokens: Tokens | None, *, browser: bool) -> None:
+    """Print the addresses of the page; with `browser`, open the page if the output is a terminal."""
+    page = f"http://{_bracketed(host)}:{port}/"
+    url = page + (f"?token={tokens.operator}" if tokens else "")
+    if tokens:
+        out.print(f"read-only: {page}?token={tokens.viewer}")
+    out.print(f"ctr-station is at {url}   (Ctrl-C stops it)")
+    sys.stdout.flush()
+    if browser and sys.stdout.isatty():
+        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
 
 def _gateway(

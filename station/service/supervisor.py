@@ -30,7 +30,7 @@ from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit, FlightRecorder
 from station.service.control_host import NOTHING_MOVES, ControlReport, ExitReport, NoReply
 from station.service.fallback_stop import StopOutcome
-from station.service.permits import Permit, Permits
+from station.service.permits import Permit, Permits, VoidError
 from station.service.processes import CONTROL_LABEL, ProcessSupervisor
 from station.service.runs import RunRequest, Runs, StartRequest
 from station.service.station_file import Rig
@@ -112,6 +112,22 @@ class Supervisor:
         self.cameras.open()
         self._processes.open()
         self.cameras.start()
+
+    def wait_started(self, timeout: float) -> None:
+        """Wait as `wait_ready` does, or until an operator stops the start, after which an operator connects again.
+
+        Raises:
+            CtrError: as `wait_ready`, without a STOP or a reset.
+        """
+        start = self._permits.issue().lasting()
+        try:
+            self.wait_ready(timeout)
+        except CtrError:
+            try:
+                start.check("start")
+            except VoidError:
+                return
+            raise
 
     def wait_ready(self, timeout: float, since: int = 0) -> None:
         """Wait until telemetry is beyond row `since`, or until the stages wait to be homed.

@@ -145,11 +145,12 @@ def calm(rate: float, settings: str = "") -> str:
 
 
 @contextmanager
-def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> Iterator[Served]:
+def serving(*arguments: str, settings: str = "", rate: float | None = RATE, connected: bool = True) -> Iterator[Served]:
     """Yield a running station with the given settings in its station file.
 
     The station's clock runs at `rate` times real time, and the settings tolerate a busy computer. If `rate` is None,
-    the clock is real time, and the settings are as strict as on a bench.
+    the clock is real time, and the settings are as strict as on a bench. With `connected` the station's devices are
+    connected.
     """
     port = free_port()
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
@@ -168,7 +169,7 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE) -> I
             text = _until_started(process, Path(said.name))
             tokens = [line.split("?token=")[1].split()[0] for line in text.splitlines() if "?token=" in line]
             served = Served(process, port, tokens, Path(said.name))
-            _until_answering(served)
+            _until_answering(served, connected)
             yield served
             text = Path(said.name).read_text()
             assert "Traceback (most recent call last)" not in text, text[-4000:]
@@ -187,10 +188,10 @@ def _until_started(process: "subprocess.Popen[bytes]", said: Path) -> str:
     return text
 
 
-def _until_answering(served: Served) -> None:
+def _until_answering(served: Served, connected: bool) -> None:
     def answers() -> bool:
         try:
-            return bool(served.status())
+            return served.status()["state"] != "CONNECTING" or not connected
         except httpx.TransportError:
             return False
 

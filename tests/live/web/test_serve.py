@@ -37,6 +37,18 @@ def test_the_serve_command_reports_a_busy_port() -> None:
     assert len(ended.stderr.splitlines()) == 1
 
 
+def test_a_station_that_connects_to_its_devices_shows_the_page_refuses_motions_and_takes_a_stop() -> None:
+    with serving(rate=0.1, connected=False) as station:
+        assert station.status()["state"] == "CONNECTING"
+        assert "<title>" in station.rest.get("/").text
+        refused = station.post("/api/start", {"trajectory": {"kind": "hold"}})
+        assert (refused.status_code, "CONNECTING" in refused.json()["error"]) == (409, True), refused.text
+        stopped = station.post("/api/stop").json()
+        assert (stopped["state"], stopped["confirmed"]) == ("OFF", True)
+        assert station.status()["action"] == "connect"
+        station.ready()
+
+
 def test_ctrl_c_stops_the_axes_first_and_leaves_no_files_or_processes(tmp_path: Path) -> None:
     with serving("--data", str(tmp_path)) as station, ExitStack() as clients:
         control, used = station.control_process(), shared_memory(station.process.pid)

@@ -217,6 +217,7 @@ function startHint() {
 }
 
 onStatus((status) => {
+  if (status === null && known === null && !isSilent()) return; // the page has just been opened
   const state = status === null ? "NO ANSWER" : status.state;
   known = status ?? known;
   setText($("state"), state);
