@@ -82,7 +82,7 @@ def test_busy_browser_removes_the_report_of_silence_together_with_the_state(page
 
 
 def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser: Browser) -> None:
-    with serving() as station, bare_page(browser, station) as page:
+    with serving(connected=False) as station, bare_page(browser, station) as page:  # opened while the devices are connected
         page.locator(".card", has_text="Keep the tip where it is").click()
         start = page.locator("button:enabled", has_text="Start motion")
         start.wait_for()
