@@ -131,13 +131,12 @@ def region_at(limits: Sequence[object], point: Array) -> str | None:
 
 @compiled
 def _rows(
-    region: Array, triangles: Array, normals: Array, spheres: Array, origin: Array, size: NDArray[np.int64],
-    starts: NDArray[np.int64], candidates: NDArray[np.int64], distances: Array, points: Array, radii: Array,
-    jacobian: Array, drift: Array, ahead: Array, along: int, braking: float, retreat: float, rows: Array, room: Array,
-    nearest: Array,
+    region: Array, triangles: Array, normals: Array, spheres: Array, boxes: Array, contents: NDArray[np.int64],
+    points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, braking: float,
+    retreat: float, rows: Array, room: Array, nearest: Array,
 ) -> None:  # fmt: skip
     """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
-    surface = Mesh(triangles, normals, spheres, origin, size, starts, candidates, distances)
+    surface = Mesh(triangles, normals, spheres, boxes, contents)
     sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
     point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     room[:], nearest[:, 0] = 1.0 / braking, np.inf

@@ -1,14 +1,14 @@
 """Regions of the workspace, and the signed distance of a point to them: negative inside, with its direction of growth.
 
-The distance to a mesh is that to its nearest triangle. A grid of cells around the surface keeps the triangles that can
-be nearest to a point of each cell, the nearest ones to the cell's centre first. A triangle is tried only if the disc
-around it in its plane can be nearer than the nearest triangle so far.
+The distance to a mesh is that to its nearest triangle. The triangles are in a binary tree of boxes, and a search leaves
+out boxes that are farther away than the nearest triangle so far. A triangle is tried only if the disc around it in its
+plane can be nearer.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, cast
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,36 +19,28 @@ from core.robot.robot import Array
 
 #: Kinds of regions in packed numbers.
 SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
-#: Edge of the cells in which the nearest triangles of a mesh are looked up, and distance that the cells cover [m].
-CELL_M, REACH_M = 0.005, 0.030
-#: Largest number of triangles of a mesh, and of its cells.
-MAX_TRIANGLES, MAX_CELLS = 100_000, 400_000
+#: Largest number of triangles of a mesh, and of a box without further boxes in it.
+MAX_TRIANGLES, LEAF = 100_000, 8
+#: Largest extent of a mesh [m]; a file in a wrong unit is larger.
+MAX_EXTENT_M = 2.0
+#: Largest depth of the tree of boxes, which is halved at each level.
+MAX_DEPTH = 32
 
 
 class Mesh(NamedTuple):
-    """Closed surface of triangles, with the candidates for the nearest triangle to the points of each cell."""
+    """Closed surface of triangles, in the order of the boxes that contain them."""
 
     triangles: Array  #: (t, 3, 3) corners, world frame [m]; seen from outside they are counter-clockwise
     normals: Array  #: (t, 3) outward unit vectors
     spheres: Array  #: (t, 4) centre and radius of a sphere around each triangle [m]
-    origin: Array  #: (3,) corner of the first cell [m]
-    size: NDArray[np.int64]  #: (3,) number of cells along each axis
-    starts: NDArray[np.int64]  #: (cells + 1,) index of the first candidate of each cell
-    candidates: NDArray[np.int64]  #: (k,) indices of triangles, for each cell the nearest to its centre first
-    distances: Array  #: (k,) their distances from the centre of the cell [m]
+    boxes: Array  #: (b, 6) lowest and highest corner of each box; the first box contains all triangles [m]
+    #: (b, 2) first triangle and number of triangles of a box. The number is 0 if a box contains two further boxes: the
+    #: next one, and the one whose number then replaces the first triangle.
+    contents: NDArray[np.int64]
 
 
 #: Mesh of regions that have none.
-NO_MESH = Mesh(
-    np.empty((0, 3, 3)),
-    np.empty((0, 3)),
-    np.empty((0, 4)),
-    np.zeros(3),
-    np.zeros(3, np.int64),
-    np.zeros(1, np.int64),
-    np.empty(0, np.int64),
-    np.empty(0),
-)
+NO_MESH = Mesh(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 6)), np.empty((0, 2), np.int64))
 
 
 def mesh(triangles: Array) -> Mesh:
@@ -61,21 +53,42 @@ def mesh(triangles: Array) -> Mesh:
         raise DescriptionError(f"a mesh has {len(triangles)} triangles; 1 ... {MAX_TRIANGLES} are possible")
     if not np.isfinite(triangles).all():
         raise DescriptionError("a mesh has corners that are not finite")
-    corners = triangles.reshape(-1, 3)
-    origin = corners.min(axis=0) - REACH_M
-    size = np.ceil((corners.max(axis=0) + REACH_M - origin) / CELL_M).astype(np.int64)
-    if np.prod(size.astype(float)) > MAX_CELLS:
-        extent = (1e3 * np.ptp(corners, axis=0)).round().astype(int).tolist()
+    extent = np.ptp(triangles.reshape(-1, 3), axis=0)
+    if extent.max() > MAX_EXTENT_M:
+        size = (1e3 * extent).round().astype(int).tolist()
         raise DescriptionError(
-            f"a mesh of {extent} mm is too large; is its unit right? Cut it to the robot's workspace"
+            f"a mesh of {size} mm is too large (at most {1e3 * MAX_EXTENT_M:.0f} mm); is its unit right?"
         )
-    triangles = np.ascontiguousarray(triangles)
+    order, boxes, contents = _tree(triangles)
+    triangles = np.ascontiguousarray(triangles[order])
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     centroids = triangles.mean(axis=1)
     radii = np.linalg.norm(triangles - centroids[:, None], axis=2).max(axis=1)
     spheres = np.column_stack((centroids, radii * (1.0 + 1e-9)))  # rounding must not leave a corner outside
-    return Mesh(triangles, normals, spheres, origin, size, *_candidates(triangles, spheres, origin, size))
+    return Mesh(triangles, normals, spheres, boxes, contents)
+
+
+def _tree(triangles: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+    """Return an order of the triangles, and the boxes and contents of `Mesh` for triangles in this order."""
+    order, centroids = np.arange(len(triangles)), triangles.mean(axis=1)
+    boxes, contents = list[Array](), list[tuple[int, int]]()
+
+    def add(start: int, end: int) -> None:
+        inside = order[start:end]
+        corners, number = triangles[inside].reshape(-1, 3), len(boxes)
+        boxes.append(np.concatenate((corners.min(axis=0), corners.max(axis=0))))
+        contents.append((start, end - start))
+        if end - start > LEAF:
+            middle = (start + end) // 2
+            along = centroids[inside, int(np.ptp(centroids[inside], axis=0).argmax())]
+            order[start:end] = inside[np.argpartition(along, middle - start)]
+            add(start, middle)
+            contents[number] = len(boxes), 0
+            add(middle, end)
+
+    add(0, len(triangles))
+    return order, np.array(boxes), np.array(contents)
 
 
 @dataclass(frozen=True)
@@ -172,38 +185,41 @@ def _box_distance(numbers: Array, point: Array, direction: Array) -> float:
 
 @compiled
 def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
-    """Compute `signed_distance` for a mesh; beyond its cells the distance is `REACH_M` without a direction."""
-    cell = 0
-    for k in range(3):
-        index = int(np.floor((point[k] - surface.origin[k]) / CELL_M))
-        if not 0 <= index < surface.size[k]:
-            direction[:] = 0.0
-            return REACH_M
-        cell = cell * surface.size[k] + index
-    best, reachable, side, offset, from_centre = np.inf, np.inf, 1.0, np.empty(3), 0.0
-    for k in range(3):
-        within = point[k] - surface.origin[k]
-        from_centre += (within - CELL_M * (np.floor(within / CELL_M) + 0.5)) ** 2
-    from_centre = np.sqrt(from_centre)
-    for i in range(surface.starts[cell], surface.starts[cell + 1]):
-        if surface.distances[i] - from_centre > reachable:
-            break
-        candidate = surface.candidates[i]
-        if not _may_reach(surface.normals, surface.spheres, candidate, point, reachable):
+    """Compute `signed_distance` for a mesh."""
+    best, reachable, side, offset = np.inf, np.inf, 1.0, np.empty(3)
+    waiting, squares, count = np.empty(MAX_DEPTH, np.int64), np.empty(MAX_DEPTH), 1
+    waiting[0], squares[0] = 0, 0.0
+    while count > 0:
+        count -= 1
+        box = waiting[count]
+        if squares[count] > best * (1.0 + 1e-9):
             continue
-        square = _to_triangle(surface.triangles, candidate, point, offset)
-        if square > best * (1.0 + 1e-9):
-            continue
-        # At an edge or a corner several triangles are equally near; the one that the point is farthest from as a plane
-        # decides whether the point is inside.
-        normal = surface.normals[candidate]
-        height = normal[0] * offset[0] + normal[1] * offset[1] + normal[2] * offset[2]
-        if square < best * (1.0 - 1e-9) or abs(height) > abs(side):
-            side = height
-        if square < best:
-            best, reachable = square, np.sqrt(square) * (1.0 + 1e-9)
-        for k in range(3):
-            direction[k] = offset[k]
+        first, number = surface.contents[box, 0], surface.contents[box, 1]
+        if number == 0:  # the nearer of the two boxes in it comes next
+            near, far = box + 1, first
+            to_near, to_far = _square_to_box(surface.boxes, near, point), _square_to_box(surface.boxes, far, point)
+            if to_far < to_near:
+                near, far, to_near, to_far = far, near, to_far, to_near
+            waiting[count], squares[count] = far, to_far
+            waiting[count + 1], squares[count + 1] = near, to_near
+            count += 2
+        for t in range(first, first + number):
+            if not _may_reach(surface.normals, surface.spheres, t, point, reachable):
+                continue
+            square = _to_triangle(surface.triangles, t, point, offset)
+            if square > best * (1.0 + 1e-9):
+                continue
+            # At an edge or a corner several triangles are equally near; the one that the point is farthest from as a
+            # plane decides whether the point is inside.
+            height = 0.0
+            for k in range(3):
+                height += surface.normals[t, k] * offset[k]
+            if square < best * (1.0 - 1e-9) or abs(height) > abs(side):
+                side = height
+            if square < best:
+                best, reachable = square, np.sqrt(square) * (1.0 + 1e-9)
+            for k in range(3):
+                direction[k] = offset[k]
     distance = _normalised(direction)
     if distance < 1e-9:  # on the surface: grows along the normal of the triangle
         return 0.0
@@ -212,6 +228,18 @@ def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
             direction[k] = -direction[k]
         return -distance
     return distance
+
+
+@compiled
+def _square_to_box(boxes: Array, box: int, point: Array) -> float:
+    """Return the square of the distance of a point to a box [m^2], 0 inside."""
+    square = 0.0
+    for k in range(3):
+        below, above = boxes[box, k] - point[k], point[k] - boxes[box, 3 + k]
+        beyond = below if below > above else above
+        if beyond > 0.0:
+            square += beyond * beyond
+    return square
 
 
 @compiled
@@ -267,35 +295,3 @@ def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float
         offset[k] = point[k] - nearest
         square += offset[k] * offset[k]
     return square
-
-
-def _candidates(
-    triangles: Array, spheres: Array, origin: Array, size: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Return the triangles that can be nearest to a point of each cell: `starts`, `candidates`, `distances`."""
-    import scipy.spatial  # pyright: ignore[reportMissingTypeStubs] # only for meshes, because its import takes a third of a second
-
-    index = np.indices(tuple(size.tolist())).reshape(3, -1).T
-    centres = origin + CELL_M * (index + 0.5)
-    tree, diagonal = cast(Any, scipy.spatial).KDTree(spheres[:, :3]), math.sqrt(3.0) * CELL_M
-    largest = float(spheres[:, 3].max())
-    bounds: Array = tree.query(centres)[0]
-    starts, found, away = np.zeros(len(centres) + 1, np.int64), list[NDArray[np.int64]](), list[Array]()
-    for cell, (centre, bound) in enumerate(zip(centres, bounds, strict=True)):
-        near = np.array(tree.query_ball_point(centre, bound + diagonal + largest), np.int64)
-        distances = _distances(triangles, near, centre)
-        order = np.argsort(distances, kind="stable")
-        order = order[distances[order] <= distances.min() + diagonal]
-        found.append(near[order])
-        away.append(distances[order])
-        starts[cell + 1] = starts[cell] + order.size
-    return starts, np.concatenate(found), np.concatenate(away)
-
-
-@compiled
-def _distances(triangles: Array, near: NDArray[np.int64], point: Array) -> Array:
-    """Return the distances [m] of the triangles `near` (k,) to a point."""
-    found, offset = np.empty(near.shape[0]), np.empty(3)
-    for i in range(near.shape[0]):
-        found[i] = np.sqrt(_to_triangle(triangles, near[i], point, offset))
-    return found
