@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from core.compiled import compiled
 from core.errors import PoseError
 from core.robot.limits import BRAKING_TIME_CONSTANT_S, Backbone, LimitContext, built_in
-from core.robot.regions import Mesh, Region, signed_distance
+from core.robot.regions import MESH, Mesh, Region, signed_distance
 from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
@@ -138,6 +138,7 @@ def _rows(
     """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
     surface = Mesh(triangles, normals, spheres, boxes, contents)
     sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
+    convex = region[0] != MESH and sign > 0.0
     point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     room[:], nearest[:, 0] = 1.0 / braking, np.inf
     for part in range(nearest.shape[0]):
@@ -157,6 +158,8 @@ def _rows(
         for k in range(3):
             nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * normal[k]
         for number in range(ROWS if best < NEAR_M else 1):
+            if convex and 0 < number <= PROBES:
+                continue  # its tangent planes lie in front of the surface
             place, row = share, part * ROWS + number
             if number > PROBES:
                 place += NEIGHBOUR if number == ROWS - 1 else -NEIGHBOUR
