@@ -1,6 +1,6 @@
 """Measure the stiffness of the tip in the cases of the experiment `stiffness` that push with a force.
 
-`python -m tests.tools.stiffness_runs LAB [--seeds 10] [--calibrated]`
+`python -m tests.tools.stiffness_runs LAB [CASE ...] [--seeds 10] [--calibrated]`
 
 The output is one line per case: the force over the desired stiffness, divided by the true displacement from 17 to 20 s
 after the start, for each seed. With `--calibrated` the bench of each seed is first calibrated by itself.
@@ -38,6 +38,7 @@ def measured(name: str, lab: str, seed: int, calibration: str) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Measure the stiffness of the tip.")
     parser.add_argument("lab", choices=("gentle", "realistic"))
+    parser.add_argument("case", nargs="*", choices=[*CASES, []], default=CASES)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--calibrated", action="store_true", help="calibrate the bench of each seed first")
     wanted = parser.parse_args()
@@ -46,7 +47,7 @@ def main() -> None:
         if wanted.calibrated:
             own = [str(Path(where, str(seed))) for seed in seeds]
             folders = list(pool.map(calibrated, own, [wanted.lab] * wanted.seeds, seeds))
-        for name in CASES:
+        for name in wanted.case:
             found = list(pool.map(measured, [name] * len(seeds), [wanted.lab] * len(seeds), seeds, folders))
             each = " ".join(f"{one:.2f}" for one in found)
             print(f"{name}: {min(found):.2f} to {max(found):.2f} ({each})", flush=True)  # noqa: T201
