@@ -143,7 +143,10 @@ function draft(area, name) {
 
 /** The button that deletes the shown run; null if no run is shown. */
 let removal = null;
-onStatus(() => { if (removal !== null) removal.disabled = !mayCommand(); });
+onStatus(() => {
+  removeChosen.disabled = chosen.size === 0 || !mayCommand();
+  if (removal !== null) removal.disabled = !mayCommand();
+});
 
 /** Show the page of a run. */
 async function details(id) {
