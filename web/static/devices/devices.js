@@ -1,5 +1,5 @@
 // Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
-import { $, benchNote, button, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, setText, unit } from "../page/station.js";
+import { $, benchNote, button, latest, make, mayCommand, note, onStatus, replaceChanged, request, rigAnswer, sendCommand, setText, unit } from "../page/station.js";
 import { home } from "../page/header.js";
 import { isOpen, onTab, poll } from "../page/tabs.js";
 import { jogWhileHeld, mayJog } from "../jog/jog.js";
@@ -69,17 +69,26 @@ rig.joints.forEach(addAxisCheck);
 const valueText = (value) => value !== null && typeof value === "object"
   ? Object.entries(value).map(([key, one]) => `${key} ${valueText(one)}`).join(", ") : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value);
 
-function device(one) {
-  const light = make("i", { className: "light", "data-severity": one.condition === "connected" ? one.severity : Math.max(1, one.severity), style: "display:inline-block" });
-  const rows = Object.entries(one.details).map(([key, value]) => make("tr", {}, make("td", {}, key.replaceAll("_", " ")), make("td", { className: "any" }, valueText(value))));
-  const details = make("details", { open: opened.has(one.name) }, make("summary", {}, "details"), make("table", {}, ...rows));
-  details.addEventListener("toggle", () => { if (details.open) opened.add(one.name); else opened.delete(one.name); });
-  return make("fieldset", {}, make("legend", {}, one.name), make("div", {}, light, " ", make("b", {}, one.condition), " ", one.text), details);
+/** Return the box of a device: {element, show(device)}. The box stays while its values change, so that a click on its details is not lost. */
+function deviceBox(name) {
+  const light = make("i", { className: "light", style: "display:inline-block" }), condition = make("b"), text = make("span"), details = make("table");
+  const element = make("fieldset", {}, make("legend", {}, name), make("div", {}, light, " ", condition, " ", text), make("details", {}, make("summary", {}, "details"), details));
+  const show = (one) => {
+    light.dataset.severity = one.condition === "connected" ? one.severity : Math.max(1, one.severity);
+    setText(condition, one.condition);
+    setText(text, one.text);
+    details.replaceChildren(...Object.entries(one.details).map(([key, value]) => make("tr", {}, make("td", {}, key.replaceAll("_", " ")), make("td", { className: "any" }, valueText(value)))));
+  };
+  return { element, show };
 }
-const opened = new Set();
+const boxes = new Map(); // boxes of the devices by name
 
 poll("devices", "/api/devices", 500, (all) => {
-  list.replaceChildren(...all.devices.map(device));
+  for (const one of all.devices) {
+    if (!boxes.has(one.name)) boxes.set(one.name, deviceBox(one.name));
+    boxes.get(one.name).show(one);
+  }
+  replaceChanged(list, all.devices.map((one) => one.name), () => all.devices.map((one) => boxes.get(one.name).element));
   raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
 });
 onStatus((status, stale) => {
