@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from playwright.sync_api import Browser, Page, Request, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, Request, ViewportSize, expect, sync_playwright
 
 from tests.harness.serving import Served
 from tests.harness.waiting import NET, until
@@ -95,12 +95,19 @@ def press_until(page: Page, press: Callable[[], object], happened: Callable[[], 
         until(lambda lost=lost: happened() or refused.count() > 0 or time.monotonic() > lost)
 
 
-def press_until_sent(page: Page, press: Callable[[], object], path: str = "/api/start") -> None:
+def press_until_asked(page: Page, press: Callable[[], object]) -> Locator:
+    """Press until the page asks for a confirmation; return the question."""
+    question = page.locator("#question")
+    press_until(page, press, question.is_visible)
+    return question
+
+
+def press_until_sent(page: Page, press: Callable[[], object], path: str = "/api/start", method: str = "POST") -> None:
     """Press until the page has sent a command to `path`."""
     sent: list[Request] = []
 
     def note(request: Request) -> None:
-        if request.method == "POST" and request.url.endswith(path):
+        if request.method == method and request.url.endswith(path):
             sent.append(request)
 
     page.on("request", note)

@@ -11,7 +11,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, open_tab
+from tests.harness.chromium import PATIENCE, open_tab, press_until, press_until_asked
 from tests.harness.serving import Served
 
 AXE = Axe()
@@ -67,8 +67,8 @@ def procedure(page: Page) -> None:
 
 def recorded_run(page: Page) -> None:
     open_tab(page, "runs")
-    page.locator("#runs .card").first.click()
-    page.locator(".result").wait_for()
+    # The list is replaced when the newest run arrives, perhaps during the press.
+    press_until(page, page.locator("#runs .card").first.click, page.locator(".result").is_visible)
 
 
 @pytest.fixture
@@ -126,8 +126,7 @@ def test_axe_finds_no_violation_in_a_dialog_or_a_latched_state(station: Served, 
     station.rest.delete("/api/operator")
     for name, button in (("start", "Take control"), ("devices", "Home…")):
         open_tab(page, name)
-        page.get_by_role("button", name=button).last.click()
-        page.get_by_role("dialog").wait_for()
+        press_until_asked(page, page.get_by_role("button", name=button).last.click)
         assert violations(page) == [], button
         page.keyboard.press("Escape")
     station.post("/api/stop")

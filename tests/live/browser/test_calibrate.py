@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from station.config.strict import PRESETS
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_asked, press_until_sent
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
@@ -39,8 +39,7 @@ def begin(page: Page, card: str, picture: Picture | None = None) -> None:
         page.get_by_label("known weights").fill("0.5")
     if picture is not None:
         picture(page, "calibrate_offer")
-    page.get_by_role("button", name="Start: ").click()
-    dialog = page.get_by_role("dialog")
+    dialog = press_until_asked(page, page.get_by_role("button", name="Start: ").click)
     dialog.get_by_text("Is the path clear").wait_for()
     expect(dialog.get_by_role("button", name="Start", exact=True)).to_be_disabled()
     dialog.get_by_role("checkbox").check()
@@ -132,7 +131,7 @@ def test_aborted_calibration_writes_no_result_and_shows_the_cause(
     page.locator("#calibrate .card", has_text="Axes").click()
     page.locator("#calibrate", has_text="not while STOPPED").wait_for()
     expect(page.get_by_role("button", name="Start: ")).to_be_disabled()
-    page.locator("#reset").click()
+    press_until_sent(page, page.locator("#reset").click, "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
     page.wait_for_function("() => !document.querySelector('#calibrate button.main[type=submit]').disabled")
 

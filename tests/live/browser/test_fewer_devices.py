@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from station.config.strict import PRESETS
-from tests.harness.chromium import bare_page, open_tab, press_until_sent
+from tests.harness.chromium import bare_page, open_tab, press_until_asked, press_until_sent
 from tests.harness.serving import Served, serving
 
 NOTES = {
@@ -34,8 +34,8 @@ def robot(tmp_path: Path) -> Path:
 
 def home(page: Page, station: Served) -> None:
     """Home the stages, which the page offers only after the path is confirmed clear, and reach the working pose."""
-    button, dialog = page.locator("#devices").get_by_role("button", name="Home…"), page.get_by_role("dialog")
-    button.click()
+    button = page.locator("#devices").get_by_role("button", name="Home…")
+    dialog = press_until_asked(page, button.click)
     dialog.get_by_role("checkbox").check()
     dialog.get_by_role("button", name="Home", exact=True).click()
     page.locator("#state", has_text="HOMING").wait_for()

@@ -2,7 +2,7 @@
 
 from playwright.sync_api import Page, expect
 
-from tests.harness.chromium import open_tab, press_until_sent, wait_until_loaded
+from tests.harness.chromium import open_tab, press_until, press_until_sent, wait_until_loaded
 from tests.harness.serving import Served
 
 
@@ -34,8 +34,9 @@ def test_unsaved_notes_of_a_run_survive_a_page_reload(page: Page, station: Serve
 
     def open_newest() -> None:
         open_tab(page, "runs")
-        page.get_by_role("button", name="hold").first.click()
-        page.get_by_label("notes", exact=True).wait_for()
+        notes = page.get_by_label("notes", exact=True)
+        # The list is replaced when the newest run arrives, perhaps during the press.
+        press_until(page, page.get_by_role("button", name="hold").first.click, notes.is_visible)
 
     open_newest()
     page.get_by_label("notes", exact=True).fill("a new coil")

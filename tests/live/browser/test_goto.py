@@ -4,7 +4,7 @@ import math
 
 from playwright.sync_api import Page
 
-from tests.harness.chromium import open_tab, press_until_sent
+from tests.harness.chromium import open_tab, press_until_asked, press_until_sent
 from tests.harness.serving import Served
 
 
@@ -19,10 +19,9 @@ def arrives(station: Served, title: str, degrees: float) -> None:
 def test_robot_goes_to_a_pose_after_confirmation_and_back_to_the_working_pose(page: Page, station: Served) -> None:
     open_tab(page, "jog")
     page.get_by_label("inner rotation to go to").fill("84")
-    question = page.locator("#question")
 
     def go_there() -> None:
-        page.get_by_role("button", name="Go there").click()
+        question = press_until_asked(page, page.get_by_role("button", name="Go there").click)
         question.get_by_text("inner rotation 84 °").wait_for()
         assert station.status()["state"] == "READY"  # nothing moves before the user confirms
         question.get_by_role("button", name="Go").click()
@@ -31,7 +30,7 @@ def test_robot_goes_to_a_pose_after_confirmation_and_back_to_the_working_pose(pa
     arrives(station, "to a pose", 84.0)
 
     def go_to_working_pose() -> None:
-        page.get_by_role("button", name="Go to the working pose").click()
+        question = press_until_asked(page, page.get_by_role("button", name="Go to the working pose").click)
         question.get_by_text("inner rotation 90 °").wait_for()
         question.get_by_role("button", name="Go").click()
 

@@ -4,7 +4,7 @@ import signal
 
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import SIZE, bare_page, wait_until_current
+from tests.harness.chromium import SIZE, bare_page, press_until_sent, wait_until_current
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served, serving
 
@@ -34,7 +34,7 @@ def test_page_shows_fault_for_a_dead_control_process_and_reset_restarts_it(page:
     station.wait_for(lambda s: s["age"] > 2.0)  # the control process sends nothing more, but Reset must stay usable
     wait_until_current(page)
     expect(page.locator("#silence")).to_be_hidden()
-    page.locator("#reset").click()
+    press_until_sent(page, page.locator("#reset").click, "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
     page.locator("#act button", has_text="Home").wait_for()
 
@@ -82,7 +82,8 @@ def test_busy_browser_removes_the_report_of_silence_together_with_the_state(page
 
 
 def test_page_marks_a_hanging_station_as_stale_and_reports_an_ended_one(browser: Browser) -> None:
-    with serving(connected=False) as station, bare_page(browser, station) as page:  # opened while the devices are connected
+    # The page is opened while the devices are connected.
+    with serving(connected=False) as station, bare_page(browser, station) as page:
         page.locator(".card", has_text="Keep the tip where it is").click()
         start = page.locator("button:enabled", has_text="Start motion")
         start.wait_for()

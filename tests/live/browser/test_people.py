@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page, expect
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.harness.chromium import bare_page, press_until_sent
+from tests.harness.chromium import bare_page, press_until_asked, press_until_sent
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until
 
@@ -19,7 +19,7 @@ HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
 
 def become_operator(page: Page, name: str, button: str) -> None:
-    page.get_by_role("button", name=button).click()
+    press_until_asked(page, page.get_by_role("button", name=button).click)
     page.get_by_label("your name").fill(name)
     page.get_by_role("dialog").get_by_role("button", name=button.removesuffix("…")).click()
     page.locator("#operator", has_text="You are operator").wait_for()
@@ -42,7 +42,7 @@ def test_two_browsers_share_one_operator_lease(station: Served, browser: Browser
         ben.locator("#next", has_text="only operator 'Anna' can reset").wait_for()
         become_operator(ben, "Ben", "Take over…")
         anna.locator("#operator", has_text="Operator: Ben").wait_for()
-        ben.locator("#reset").click()
+        press_until_sent(ben, ben.locator("#reset").click, "/api/reset")
         anna.locator("#state", has_text="READY").wait_for()
         ben.get_by_role("button", name="Release").click()
         anna.locator("#operator", has_text="No operator").wait_for()

@@ -49,25 +49,29 @@ def test_all_cases_of_an_experiment_are_queued_by_one_press_and_reordered_paused
     page.get_by_role("button", name="Add all 6 cases to queue").click()
     page.get_by_role("dialog", name="Start the queue?").get_by_role("button", name="Start").click()
     page.locator("#queue li.running").wait_for()
-    titles = [entry["title"] for entry in entries(station)]
+    queue = entries(station)
+    titles = [entry["title"] for entry in queue]
     assert len(titles) == 6
-    page.get_by_role("button", name=f"{titles[3]}: earlier").click()
+    move = f"/api/queue/{queue[3]['id']}/move"
+    press_until_sent(page, page.get_by_role("button", name=f"{titles[3]}: earlier").click, move)
     until(lambda: [entry["title"] for entry in entries(station)][2] == titles[3])
-    page.get_by_role("button", name=f"{titles[5]}: remove").click()
+    remove = page.get_by_role("button", name=f"{titles[5]}: remove")
+    press_until_sent(page, remove.click, f"/api/queue/{queue[5]['id']}", "DELETE")
     until(lambda: len(entries(station)) == 5)
-    page.get_by_role("button", name="pause the queue").click()
+    press_until_sent(page, page.get_by_role("button", name="pause the queue").click, "/api/queue/pause")
     page.locator("#queue", has_text="paused by the operator").wait_for()
     station.wait_for(lambda s: s["phase"] == "moving")
     page.locator("#stop").click()
     page.locator("#queue li.failed").wait_for()
-    page.locator("#reset").click()
+    press_until_sent(page, page.locator("#reset").click, "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
-    page.get_by_role("button", name="continue the queue").click()
+    press_until_sent(page, page.get_by_role("button", name="continue the queue").click, "/api/queue/resume")
     running = station.wait_for(lambda s: s["state"] == "RUNNING")["run"]["title"]
     assert running == titles[1]
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
-    page.get_by_role("button", name="remove waiting runs from the queue").click()
+    clear = page.get_by_role("button", name="remove waiting runs from the queue")
+    press_until_sent(page, clear.click, "/api/queue", "DELETE")
     until(lambda: entries(station) == [])
     page.locator("#queue").wait_for(state="hidden")
 
@@ -107,12 +111,12 @@ def test_tab_run_shows_the_run_in_progress_and_the_page_runs_it_again(page: Page
             "chart => Number(chart.querySelector('output').textContent) > 0", arg=chart.element_handle()
         )
     now.get_by_label("text of the mark").fill("touched the tip")
-    now.get_by_role("button", name="Mark this moment").click()
+    press_until_sent(page, now.get_by_role("button", name="Mark this moment").click, "/api/mark")
     page.locator("#notes", has_text="marked in the recording").wait_for()
     page.locator("#stop").click()
     station.wait_for(lambda s: s["state"] == "STOPPED")
     now.wait_for(state="hidden")
-    page.locator("#reset").click()
+    press_until_sent(page, page.locator("#reset").click, "/api/reset")
     first = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]
     press_until_sent(page, page.locator("#ended").get_by_role("button", name="Run again").click)
     second = station.wait_for(lambda s: s["state"] == "RUNNING")["run"]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import PATIENCE, open_tab, press_until, wait_until_current
+from tests.harness.chromium import PATIENCE, open_tab, press_until_asked, wait_until_current
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -19,17 +19,17 @@ def button(page: Page, name: str) -> None:
 
 def home(_station: Served, page: Page) -> None:
     open_tab(page, "devices")
-    page.locator("#devices").get_by_role("button", name="Home…").click()
+    press_until_asked(page, page.locator("#devices").get_by_role("button", name="Home…").click)
 
 
 def operator(_station: Served, page: Page) -> None:
-    button(page, "Take control")
+    press_until_asked(page, page.get_by_role("button", name="Take control").click)
 
 
 def calibrate(_station: Served, page: Page) -> None:
     open_tab(page, "calibrate")
     page.locator("#calibrate .card").first.click()
-    button(page, "Start: ")
+    press_until_asked(page, page.get_by_role("button", name="Start: ").click)
 
 
 def experiment(station: Served, page: Page) -> None:
@@ -46,8 +46,7 @@ def experiment(station: Served, page: Page) -> None:
     station.rest.delete("/api/operator")
     open_tab(page, "start")
     page.locator(".card", has_text="Fig. 4").click()
-    start, question = page.get_by_role("button", name="Start experiment"), page.get_by_role("dialog")
-    press_until(page, start.click, question.is_visible)
+    press_until_asked(page, page.get_by_role("button", name="Start experiment").click)
 
 
 def delete(station: Served, page: Page) -> None:
@@ -61,15 +60,10 @@ def open_new_run(station: Served, page: Page) -> None:
     run = station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])["run"]["id"]
     station.rest.delete("/api/operator")
     open_tab(page, "runs")
-
-    def opened() -> bool:
-        if page.get_by_role("button", name="all runs").count():
-            button(page, "all runs")
-        page.locator("#runs .card").first.click()
-        page.get_by_role("button", name="Save notes").wait_for()
-        return run in page.locator("#runs").inner_text()
-
-    until(opened)
+    if page.get_by_role("button", name="all runs").count():
+        button(page, "all runs")
+    page.locator(f"#runs .card[title='{run}']").click()  # the card of an older run may be replaced during the press
+    page.get_by_role("button", name="Save notes").wait_for()
 
 
 @pytest.mark.parametrize("ask", [home, operator, calibrate, experiment, delete])

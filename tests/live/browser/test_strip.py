@@ -4,7 +4,7 @@ import re
 
 from playwright.sync_api import Page, expect
 
-from tests.harness.chromium import open_tab, wait_until_current
+from tests.harness.chromium import open_tab, press_until, wait_until_current
 from tests.harness.serving import Served
 
 #: Run that lasts longer than the test, which stops the run after all checks.
@@ -55,9 +55,13 @@ def test_jog_buttons_keep_their_place_below_the_result_of_the_last_run(page: Pag
     wait_until_current(page)
     button.hover()  # this may scroll the tab
     place = button.bounding_box()
-    page.mouse.down()
+
+    def press() -> None:
+        page.mouse.up()
+        page.mouse.down()
+
     try:
-        page.locator("#state", has_text="RUNNING").wait_for()
+        press_until(page, press, page.locator("#state", has_text="RUNNING").is_visible)
         expect(page.locator("#ended")).to_be_visible()
         assert button.bounding_box() == place
         expect(page.locator("#run-progress")).to_be_hidden()

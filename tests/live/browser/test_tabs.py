@@ -8,10 +8,17 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import bare_page, open_tab, press_until, press_until_sent, wait_until_loaded
+from tests.harness.chromium import (
+    bare_page,
+    open_tab,
+    press_until,
+    press_until_asked,
+    press_until_sent,
+    wait_until_loaded,
+)
 from tests.harness.contrast import CONTRAST
 from tests.harness.serving import Served
-from tests.harness.waiting import until
+from tests.harness.waiting import NET, until
 
 Picture = Callable[[Page, str], None]
 CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.003, "period": 4.0}, "duration": 2.0}
@@ -33,16 +40,15 @@ def hold(page: Page, station: Served, button: str, moved: Callable[[dict[str, An
 
     The page ends the jog when the status is older than half a second, which happens on a busy machine.
     """
-    control = page.get_by_role("button", name=button)
-    for _ in range(10):
+    control, end = page.get_by_role("button", name=button), time.monotonic() + NET
+    while time.monotonic() < end:
         if key:
             control.focus()
             page.keyboard.down(key)
         else:
             control.hover()
             page.mouse.down()
-        until = time.monotonic() + 2.0
-        while time.monotonic() < until:
+        while "held" in (control.get_attribute("class") or "").split() and time.monotonic() < end:
             if moved(station.status()):
                 return
         page.keyboard.up(key) if key else page.mouse.up()
@@ -66,13 +72,13 @@ def test_page_starts_an_experiment_after_its_start_pose_is_confirmed(
     page.locator(".card", has_text="Fig. 10").click()
     page.get_by_label("case").select_option("feedforward")
     page.locator("#start", has_text="inner rotation 90").wait_for()
-    question, start = page.get_by_role("dialog"), page.get_by_role("button", name="Start experiment")
-    press_until(page, start.click, question.is_visible)
+    start = page.get_by_role("button", name="Start experiment")
+    question = press_until_asked(page, start.click)
     question.get_by_text("start pose").wait_for()
     picture(page, "confirm")
     question.get_by_role("button", name="Cancel").click()
     assert station.status()["state"] == "READY"
-    press_until(page, start.click, question.is_visible)
+    press_until_asked(page, start.click)
     question.get_by_role("button", name="Start").click()
     status = station.wait_for(lambda s: s["state"] == "RUNNING")
     assert status["run"]["title"].startswith("fig10: ")
@@ -187,10 +193,9 @@ def test_devices_tab_shows_details_and_offers_homing_only_after_the_path_is_conf
     page.locator("#devices", has_text="Robot: paper, 3 motors.").wait_for()
     page.locator("#devices", has_text="balanced_pair (6 motors)").wait_for()
     picture(page, "devices")
-    page.get_by_role("button", name="Zero the force sensors").click()
+    press_until_sent(page, page.get_by_role("button", name="Zero the force sensors").click, "/api/tare")
     page.locator(".note.good", has_text="read zero").first.wait_for()
-    page.locator("#devices").get_by_role("button", name="Home…").click()
-    dialog = page.get_by_role("dialog")
+    dialog = press_until_asked(page, page.locator("#devices").get_by_role("button", name="Home…").click)
     expect(dialog.get_by_role("button", name="Home", exact=True)).to_be_disabled()
     picture(page, "home")
     # test_fewer_devices.py homes a robot that starts near its home sensors.
@@ -202,10 +207,14 @@ def test_devices_tab_shows_details_and_offers_homing_only_after_the_path_is_conf
 
 def test_axis_direction_is_checked_against_the_model(page: Page, station: Served) -> None:
     tab(page, "devices")
-    before = joints(station)
-    hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
-    page.mouse.up()
-    page.locator("#devices", has_text="✓ right direction").wait_for()
+
+    def turn() -> None:
+        before = joints(station)
+        hold(page, station, "outer rotation +", lambda s: s["joints"]["outer_rotation"] > before[0] + 0.08)
+        page.mouse.up()
+
+    # The page asks to hold longer if it has ended the jog, or if its status is still that of a shorter motion.
+    press_until(page, turn, page.locator("#devices", has_text="✓ right direction").is_visible)
 
 
 # ---- plots
@@ -298,12 +307,12 @@ def test_injected_fault_is_shown_explained_and_reset(page: Page, station: Served
     page.get_by_label("fault", exact=True).select_option("lose_tool")
     page.locator("#faults").get_by_label("duration [s]").fill("1.5")
     page.locator("#faults", has_text="The tracker does not see the coil at the tip.").wait_for()
-    page.get_by_role("button", name="Inject").click()
+    press_until_sent(page, page.get_by_role("button", name="Inject").click, "/api/faults")
     page.locator("#state", has_text="HOLD").wait_for()
     page.locator("#faults", has_text="What to do").wait_for()
     picture(page, "faults")
     page.locator("#lights li[title*='tracker: connected, nothing is wrong'] .light[data-severity='0']").wait_for()
-    page.locator("#faults").get_by_role("button", name="Reset").click()
+    press_until_sent(page, page.locator("#faults").get_by_role("button", name="Reset").click, "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
     page.locator("#faults td", has_text=re.compile("^Inject a fault.*lose_tool")).first.wait_for()
 

@@ -6,9 +6,8 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until, press_until_asked, press_until_sent
 from tests.harness.serving import Served
-from tests.harness.waiting import until
 
 POINTS = [[0, 0, 0, 0], [4, 0, 0.004, 0], [8, 0, 0.004, 0.003]]
 
@@ -59,37 +58,25 @@ def go(station: Served, pose: dict[str, float]) -> None:
 
 def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(teach: Page, station: Served) -> None:
     add = teach.get_by_role("button", name="Add waypoint here")
-    add.click()
+    press_until(teach, add.click, lambda: len(table(teach)) > 0)
     assert table(teach) == [[0.0, 0.0, 0.0, 0.0]]
     before = station.status()
     go(station, {"inner_translation": before["joints"]["inner_translation"] + 0.005})
     teach.get_by_text("A motion from here shifts the whole path").wait_for()
-
-    def added() -> bool:
-        # While the status is stale on a busy computer the button is disabled, so click again.
-        if len(table(teach)) < 2:
-            add.click()
-        return len(table(teach)) == 2
-
-    until(added)
+    press_until(teach, add.click, lambda: len(table(teach)) > 1)
+    assert len(table(teach)) == 2
     after = station.status()
     time, *place = table(teach)[1]
     moved = [1e3 * (b - a) for a, b in zip(before["tip_true"], after["tip_true"], strict=True)]
     assert place == pytest.approx(moved, abs=1.5)  # tolerance: noise of the measured tip
     assert time == pytest.approx(sum(x * x for x in place) ** 0.5 / 5.0, abs=0.02)  # time for the distance at 5 mm/s
     says(teach, "✓ according to the model, the tip reaches all 2")
-    too_old = teach.locator(".note", has_text="Not started")
 
-    def started() -> bool:
-        # On a busy computer the page may start nothing, because its data are too old; then the user presses again.
-        for note in too_old.all():
-            note.get_by_role("button", name="close").click()
-        teach.get_by_role("button", name="Go to the start").click()
-        teach.get_by_role("dialog").get_by_role("button", name="Go").click()
-        until(lambda: station.status()["state"] == "RUNNING" or too_old.count() > 0)
-        return too_old.count() == 0
+    def go_to_start() -> None:
+        question = press_until_asked(teach, teach.get_by_role("button", name="Go to the start").click)
+        question.get_by_role("button", name="Go").click()
 
-    until(started)
+    press_until_sent(teach, go_to_start, "/api/goto")
     start = before["joints"]["inner_translation"]
     station.wait_for(lambda status: abs(status["joints"]["inner_translation"] - start) < 1e-4)
     teach.get_by_text("A motion from here shifts the whole path").wait_for(state="hidden")
@@ -98,9 +85,8 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
 def test_waypoints_are_added_from_the_jog_tab(teach: Page) -> None:
     open_tab(teach, "jog")
     for number in (1, 2):
-        teach.get_by_role("button", name="Add the tip to the waypoints").click()
         note = teach.locator(".note.good", has_text=f"waypoint {number} is added")
-        note.wait_for()
+        press_until(teach, teach.get_by_role("button", name="Add the tip to the waypoints").click, note.is_visible)
     note.get_by_role("button", name="Open").click()
     assert [row[1:] for row in table(teach)[:1]] == [[0.0, 0.0, 0.0]]
     assert len(table(teach)) == 2
@@ -121,7 +107,7 @@ def test_waypoint_table_is_edited_reordered_undone_and_started_by_mouse(teach: P
     assert [row[0] for row in table(teach)] == [0.0, 4.0, 7.0]
     says(teach, "✓ according to the model, the tip reaches all 3, the last one at 7 s")
     with teach.expect_request("**/api/start") as asked:
-        teach.get_by_role("button", name="Start motion").click()
+        press_until_sent(teach, teach.get_by_role("button", name="Start motion").click)
     sent = json.loads(asked.value.post_data or "")
     assert sent["trajectory"]["points"] == [[0, 0, 0, 0], [4, 0, 0.004, 0], [7, 0, 0.004, 0.003]]
     assert sent["duration"] == 10

@@ -192,7 +192,7 @@ def test_stiffness_is_changed_while_a_motion_with_a_stiffness_runs(station: Serv
     assert fields.get_by_label("stiffness z").evaluate("field => field.matches(':invalid')")
     fields.get_by_label("stiffness z").fill("500")
     with page.expect_request("**/api/stiffness") as sent:
-        fields.get_by_role("button", name="Set stiffness").click()
+        press_until_sent(page, fields.get_by_role("button", name="Set stiffness").click, "/api/stiffness", "PUT")
     assert sent.value.post_data_json == {"stiffness": [60, 60, 500]}
     expect(page.get_by_text("the tip reaches this stiffness within 1 s")).to_be_visible()
     with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as telemetry:

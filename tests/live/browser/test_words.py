@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.harness.chromium import SIZE, open_tab
+from tests.harness.chromium import SIZE, open_tab, press_until_asked, press_until_sent
 from tests.harness.serving import Served
 
 
@@ -85,7 +85,7 @@ def test_page_shows_a_button_for_the_next_action_next_to_every_message(page: Pag
     )  # fmt: skip
     for tab, place in places:
         open_tab(page, tab)
-        page.locator(place).get_by_role("button", name="Home…").click()
+        press_until_asked(page, page.locator(place).get_by_role("button", name="Home…").click)
         page.get_by_role("dialog", name="Home every stage?").get_by_role("button", name="Cancel").click()
     says(state="OFF", message="no device is spoken to", next="connect the devices", action="connect")
     page.locator("#act").get_by_role("button", name="Connect").wait_for()
@@ -112,7 +112,7 @@ def test_refusal_on_the_page_shows_the_button_that_resolves_it(
 
     page.route("**/api/tare", learn)
     open_tab(page, "devices")
-    page.get_by_role("button", name="Zero the force sensors").click()
+    press_until_sent(page, page.get_by_role("button", name="Zero the force sensors").click, "/api/tare")
     note = page.locator(".note", has_text="'tare' is not possible while STOPPED")
     note.get_by_role("button", name="Reset").click()
     page.locator("#state", has_text="READY").wait_for()
@@ -136,7 +136,7 @@ def test_page_reload_keeps_the_tab_and_the_plots_history(station: Served, page: 
 
 def test_page_reports_the_loss_of_control_to_another_client(station: Served, page: Page) -> None:
     page.locator("#operator", has_text="No operator").wait_for()
-    page.get_by_role("button", name="Take control").click()
+    press_until_asked(page, page.get_by_role("button", name="Take control").click)
     page.get_by_label("your name").fill("Anna")
     page.get_by_role("dialog").get_by_role("button", name="Take control").click()
     page.locator("#operator", has_text="You are operator").wait_for()

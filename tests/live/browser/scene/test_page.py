@@ -10,7 +10,7 @@ from playwright.sync_api import FrameLocator, Page, Response, expect
 
 from station.config.palette import CONTACT
 from station.config.robots import load_robot
-from tests.harness.chromium import open_tab
+from tests.harness.chromium import open_tab, press_until_sent
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 from web.scene.cameras import FIELD_OF_VIEW_RAD, camera, extent
@@ -97,7 +97,7 @@ def test_stop_in_the_page_header_stops_the_robot_and_reset_makes_it_ready(page: 
     page.locator("#state", has_text="STOPPED").wait_for()
     assert station.status()["state"] == "STOPPED"
     page.locator("#says", has_text="You pressed STOP").wait_for()
-    page.locator("#reset").click()
+    press_until_sent(page, page.locator("#reset").click, "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
 
 
