@@ -11,7 +11,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, open_tab, press_until, press_until_asked
+from tests.harness.chromium import PATIENCE, open_tab, press_until, press_until_asked, wait_until_loaded
 from tests.harness.serving import Served
 
 AXE = Axe()
@@ -79,6 +79,7 @@ def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(station.url)
     page.locator("#welcome").wait_for()
+    wait_until_loaded(page)
     yield page
     context.close()
 

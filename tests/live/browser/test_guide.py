@@ -95,7 +95,9 @@ def test_palette_shows_why_an_action_is_not_possible_and_does_not_carry_it_out(p
     page.get_by_role("option", name="not while READY").first.wait_for()
     page.keyboard.press("Enter")
     expect(page.get_by_role("combobox", name="action")).to_be_visible()
+    wait_until_current(page)
     page.keyboard.press("Escape")
+    page.locator("dialog[open]").wait_for(state="hidden")
 
 
 def test_palette_takes_and_releases_control(page: Page, station: Served) -> None:

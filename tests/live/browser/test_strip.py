@@ -47,7 +47,7 @@ def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page
 
 def test_jog_buttons_keep_their_place_below_the_result_of_the_last_run(page: Page, station: Served) -> None:
     assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0}).status_code == 202
-    page.locator("#ended").get_by_role("button", name="Result").wait_for()
+    page.locator("#ended", has_text="● complete").get_by_role("button", name="Result").wait_for()  # not of an older run
     station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
     station.rest.delete("/api/operator")
     open_tab(page, "jog")

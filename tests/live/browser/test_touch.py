@@ -183,6 +183,7 @@ def test_stiffness_is_changed_while_a_motion_with_a_stiffness_runs(station: Serv
     page.locator("#now", has_text="left of").wait_for()
     expect(fields).to_be_hidden()
     station.ready()
+    page.locator("#state", has_text="READY").wait_for()  # otherwise the page may fill the fields of the first run
 
     controller = {"strategy": "dual_layer", "stiffness": [60.0, 60.0, 300.0], "stiffness_frame": "tip"}
     station.post("/api/start", motion | {"controller": controller})

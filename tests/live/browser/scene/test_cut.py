@@ -8,6 +8,7 @@ from playwright.sync_api import Page, expect
 from tests.harness.chromium import chromium, scene_page, wait_until_current
 from tests.harness.relay import Relay, relayed
 from tests.harness.serving import Served
+from tests.harness.waiting import until
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
@@ -45,6 +46,6 @@ def test_disconnected_scene_is_reported_and_reconnects_while_stop_keeps_working(
     page.locator("#state", has_text="STOPPED").wait_for()
     wait_until_current(page)  # only the scene is cut
     wire.mend()
+    until(lambda: wire.scenes > scenes)  # the notice is also hidden while the page's data are stale
     notice.wait_for(state="hidden")
-    assert wire.scenes > scenes
     page.frame_locator("#scene").locator("canvas").first.wait_for()

@@ -56,7 +56,7 @@ def test_page_shows_the_station_state_and_every_device(page: Page) -> None:
     page.locator("#lights:not(:has(.light:not([data-severity='0'])))").wait_for()
     names = [light.inner_text().partition(":")[0].strip() for light in lights.all()]
     assert names == ["stages", "tracker", "force sensors"]
-    assert [light.get_attribute("data-severity") for light in page.locator("#lights .light").all()] == ["0"] * 3
+    expect(page.locator("#lights .light[data-severity='0']")).to_have_count(3)
     expect(lights.first).to_have_attribute("title", re.compile("nothing is wrong"))
     expect(page.locator("#loop")).to_contain_text("500 Hz")
     expect(page.locator("#loop")).to_have_attribute("title", re.compile("µs"))
