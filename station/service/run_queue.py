@@ -65,6 +65,7 @@ class RunQueue:
         self._permit: Permit | None = None  # None: the queue is paused
         self._pause = "the queue is empty"
         self._prepared = 0  # id of the entry whose work by hand is done
+        self._ended: tuple[State, str] | None = None  # state and reason at the end of the present run
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._work, name="queue", daemon=True)
 
@@ -176,14 +177,18 @@ class RunQueue:
     def _watch(self, entry: QueueEntry) -> None:
         """Note the end of the running entry; pause unless the run is complete."""
         status = self._supervisor.status()
-        if _runs(entry, status) or status.recording:
+        if _runs(entry, status):
             return
-        if status.state is State.READY:
+        if self._ended is None:  # a reset may come before the recording is complete
+            self._ended = status.state, status.cause or status.state.name
+        if status.recording:
+            return
+        state, reason = self._ended
+        if state is State.READY:
             self._put(replace(entry, state=EntryState.DONE))
         else:
-            reason = status.cause or status.state.name
             self._put(replace(entry, state=EntryState.FAILED, reason=reason))
-            self.pause(f"'{entry.title}' ended in {status.state.name}: {reason}")
+            self.pause(f"'{entry.title}' ended in {state.name}: {reason}")
 
     def _start_next(self) -> None:
         status = self._supervisor.status()
@@ -202,6 +207,7 @@ class RunQueue:
             if entry.by_hand and self._prepared != entry.id:
                 self.pause(f"before '{entry.title}': {entry.by_hand}; then resume the queue")
                 return
+        self._ended = None
         try:
             run = entry.start(permit)
         except VoidError as error:  # a STOP or a reset: the run may still be started after `resume`
