@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 FORMAT = 2
 #: Words in a refusal because another client is the operator; the operator's name is before them.
 NOT_OPERATOR = " is operator"
+#: States of a station that has just started, which it leaves without a command.
+STARTING = ("CONNECTING", "HOMED")
 #: Interval between two status requests while a method waits [s]. Each request also renews the operator's lease.
 POLL_INTERVAL_S = 0.2
 #: Timeout of a request [s]. Homing and the rendering of a report may take longer.
@@ -415,6 +417,7 @@ class Station:
             StationRefused: at the start of the block: the state or a value does not allow the stream.
         """
         self._check_format()
+        self._wait_connected()
         url = str(self._http.base_url.join("/api/setpoints")).replace("http", "ws", 1)
         return Setpoints(url, self._headers, options)
 
@@ -435,10 +438,10 @@ class Station:
         self._format_checked = True
 
     def _wait_connected(self) -> None:
-        """Wait at most `REQUEST_TIMEOUT_S` while the station connects to its devices; do this once."""
+        """Wait at most `REQUEST_TIMEOUT_S` until the station has connected to its devices; do this once."""
         deadline = time.monotonic() + REQUEST_TIMEOUT_S
         while not self._connected and time.monotonic() < deadline:
-            self._connected = self._send("GET", "/api/status")["state"] != "CONNECTING"
+            self._connected = self._send("GET", "/api/status")["state"] not in STARTING
             if not self._connected:
                 time.sleep(POLL_INTERVAL_S)
 

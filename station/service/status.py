@@ -38,7 +38,7 @@ class StationStatus(NamedTuple):
     recording: bool  #: whether a run is being recorded, or its recording is being finished
     phase: Phase  #: phase of the run
     progress: float  #: completed part of the motion, 0 ... 1
-    age: float  #: time since the last tick [s]
+    age: float  #: time since the last tick [s]; 0 before the first tick of a station that has just started
     timing: Timing  #: timing statistics of the control loop
     values: Mapping[str, Array]  #: newest telemetry by group; empty before the first row
     devices: tuple[DeviceStatus, ...]  #: devices as last reported; empty before the first report
@@ -59,6 +59,7 @@ class StateMonitor:
         self.entered: Counter[State] = Counter()  #: how often the station has entered each state
         self.devices: tuple[DeviceStatus, ...] = ()  #: devices as last reported; empty before the first report
         self.refusals: tuple[str, ...] = ()  #: warnings about settings that the system has refused the control process
+        self._starting = False  # whether the first control process has been started and has reported nothing yet
         self._end = ""  # text about the end of the control process, with the earlier causes
         self._at_bound: deque[tuple[float, Array]] = deque(maxlen=SATURATION_SAMPLES)
 
@@ -66,7 +67,8 @@ class StateMonitor:
     def state(self) -> State:
         """Present state of the station."""
         with self._lock:
-            return self.reported if self.reported in STATION_STATES else State(int(self._ring.counters[STATE]))
+            ours = self.reported in STATION_STATES and not self._starting
+            return self.reported if ours else State(int(self._ring.counters[STATE]))
 
     @property
     def run_number(self) -> int:
@@ -78,9 +80,19 @@ class StateMonitor:
         """Cause of the state that was reported last, with its details, for the terminal, the log and recordings."""
         return with_details(self.cause, self.details)
 
+    def begin(self) -> None:
+        """Show CONNECTING until the first report; call this before the first control process is started.
+
+        This process connects the devices as soon as its code is compiled, which takes up to several minutes.
+        """
+        with self._lock:
+            self._ring.counters[STATE] = State.CONNECTING
+            self._starting = True
+
     def set_reported(self, state: State, cause: str, details: str = "") -> bool:
         """Store a reported state; return whether it differs from the previous one."""
         with self._lock:
+            self._starting = False
             changed = self.reported is not state
             self.reported, self.cause, self.details = state, cause, details
             self.entered[state] += changed
@@ -95,6 +107,7 @@ class StateMonitor:
             details: values that belong to `how`.
         """
         with self._lock:
+            self._starting = False
             before = StopReasons().add(self.cause if self.reported in LATCHED else "")
             # A process that ends after its own fault has already reported the cause.
             known = self.reported is State.FAULT
@@ -114,6 +127,7 @@ class StateMonitor:
     def forget(self) -> None:
         """Clear the reported state before the control process is restarted."""
         with self._lock:
+            self._starting = False
             self.reported = State.OFF
             self.cause = self.details = self._end = ""
 
@@ -129,6 +143,8 @@ class StateMonitor:
         state, cause, details = self._state_and_cause()
         row = ring.latest()
         counters, numbers = ring.counters, ring.numbers
+        starting = self._starting  # read first: after the first report there is a heartbeat
+        ticked = float(numbers[HEARTBEAT])
         ours = int(counters[RUN]) == (0 if run is None else run.number)
         stuck = (STUCK_TEXT,) if counters[STUCK] else ()
         values = {} if row is None else {name: self._channels.of(row, name) for name in self._channels.groups}
@@ -141,7 +157,7 @@ class StateMonitor:
             recording=recording,
             phase=Phase(int(counters[PHASE])) if ours else Phase.NONE,
             progress=float(numbers[PROGRESS]),
-            age=self._clock.now() - float(numbers[HEARTBEAT]),
+            age=0.0 if starting and not ticked else self._clock.now() - ticked,
             timing=ring.timing(),
             values=values,
             devices=self.devices,

@@ -110,6 +110,7 @@ class Supervisor:
             for sentence in recorder.not_recoverable:
                 self._flight_recorder.note("not recovered", sentence)
         self.cameras.open()
+        self._state.begin()
         self._processes.open()
         self.cameras.start()
 

@@ -15,6 +15,7 @@ from typing import Any
 import httpx
 import psutil
 
+from station.client import STARTING
 from tests.harness.calm import RATE, SETTINGS
 from tests.harness.children import children
 from tests.harness.root import ROOT
@@ -191,7 +192,7 @@ def _until_started(process: "subprocess.Popen[bytes]", said: Path) -> str:
 def _until_answering(served: Served, connected: bool) -> None:
     def answers() -> bool:
         try:
-            return served.status()["state"] != "CONNECTING" or not connected
+            return served.status()["state"] not in STARTING or not connected
         except httpx.TransportError:
             return False
 

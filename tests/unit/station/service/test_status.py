@@ -12,7 +12,7 @@ from station.config.motions import HoldMotion, Orders
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.messages import DeviceStatus
-from station.control.ring import PHASE, RUN, STATE, STUCK, Ring
+from station.control.ring import HEARTBEAT, PHASE, RUN, STATE, STUCK, Ring
 from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
@@ -45,6 +45,18 @@ def run(paper: RobotFile, number: int) -> RunRequest:
 
 
 def test_state_is_off_before_the_first_report(watched: Watched) -> None:
+    watched.ring.counters[STATE] = State.READY
+    assert watched.monitor.state is State.OFF
+
+
+def test_station_that_starts_is_connecting_without_old_data_until_its_first_report(watched: Watched) -> None:
+    watched.monitor.begin()
+    shown = watched.monitor.snapshot(None, False, "", ())
+    assert (shown.state, shown.age) == (State.CONNECTING, 0.0)
+    # A STOP that has come first is in the ring before its report.
+    watched.ring.counters[STATE], watched.ring.numbers[HEARTBEAT] = State.OFF, REAL_TIME_CLOCK.now()
+    assert watched.monitor.state is State.OFF
+    watched.report(State.OFF, "stopped by the operator")
     watched.ring.counters[STATE] = State.READY
     assert watched.monitor.state is State.OFF
 
