@@ -5,6 +5,13 @@ from contextlib import suppress
 import psutil
 
 
+def has_ended(process: psutil.Process) -> bool:
+    """Return whether a process has ended; its parent may collect it at any time."""
+    with suppress(psutil.NoSuchProcess):
+        return not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
+    return True
+
+
 def children(parent: int | None = None, name: str = "", word: str = "") -> list[psutil.Process]:
     """Return the child processes with a name, or with a word in their command line.
 

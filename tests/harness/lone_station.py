@@ -29,7 +29,7 @@ from station.service.supervisor import Supervisor
 from tests.harness.calm import CLOCK, SETTINGS
 from tests.harness.children import children
 from tests.harness.root import ROOT
-from tests.harness.waiting import NET
+from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
 
 
@@ -49,7 +49,7 @@ class LoneStation:
 
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-NAME."""
-        (found,) = children(self.process.pid, f"ctr-{name}")
+        (found,) = until(lambda: children(self.process.pid, f"ctr-{name}"), name)  # named only after its start
         return found
 
     def end(self) -> None:
@@ -96,7 +96,7 @@ def main() -> None:
     supervisor = Supervisor(bench, Path(folder))
     try:
         supervisor.open()
-        supervisor.wait_ready(120.0)
+        supervisor.wait_ready(NET)
         _settled(supervisor)
         service = StationService(supervisor)
         for line in sys.stdin:

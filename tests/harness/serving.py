@@ -1,6 +1,7 @@
 """A live station for tests: `ctr-station serve` in a separate process, on a free port."""
 
 import math
+import re
 import signal
 import socket
 import subprocess
@@ -105,7 +106,7 @@ class Served:
 
     def child(self, name: str) -> psutil.Process:
         """Return the station's child process that the system lists as ctr-control, ctr-lab or ctr-recorder."""
-        return children(self.process.pid, name)[0]
+        return until(lambda: children(self.process.pid, name), name)[0]  # a process has its name only after its start
 
     def control_process(self) -> psutil.Process:
         """Return the child process that runs the control loop."""
@@ -153,8 +154,8 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE, conn
     the clock is real time, and the settings are as strict as on a bench. With `connected` the station's devices are
     connected.
     """
-    port = free_port()
-    command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", str(port)]
+    # The station chooses its port: a port that is free now may be taken before the station listens.
+    command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", "0"]
     with tempfile.TemporaryDirectory() as data, Path(data, "said.txt").open("w+", encoding="utf-8") as said:
         config = Path(data, "station.toml")
         config.write_text(settings if rate is None else calm(rate, settings), encoding="utf-8")
@@ -169,7 +170,8 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE, conn
         try:
             text = _until_started(process, Path(said.name))
             tokens = [line.split("?token=")[1].split()[0] for line in text.splitlines() if "?token=" in line]
-            served = Served(process, port, tokens, Path(said.name))
+            (port,) = re.findall(r"ctr-station is at http\S*:(\d+)/", text)
+            served = Served(process, int(port), tokens, Path(said.name))
             _until_answering(served, connected)
             yield served
             text = Path(said.name).read_text()
@@ -183,7 +185,7 @@ def serving(*arguments: str, settings: str = "", rate: float | None = RATE, conn
 
 
 def _until_started(process: "subprocess.Popen[bytes]", said: Path) -> str:
-    while "is at http" not in (text := said.read_text()):
+    while "(Ctrl-C stops it)" not in (text := said.read_text()):  # the end of the line with the address
         assert process.poll() is None, f"the station did not start: {text}"
         time.sleep(0.05)
     return text

@@ -28,6 +28,7 @@ class Viewed(NamedTuple):
         return self.service.supervisor
 
     def make_ready(self) -> None:
+        until(lambda: self.supervisor.status().state is not State.HOMED)  # the controller is starting
         if self.supervisor.status().state is State.RUNNING:
             self.supervisor.stop()
         if self.supervisor.status().state not in (State.READY, State.CONNECTED):
