@@ -18,6 +18,7 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.control.process import ring_width
 from station.control.ring import Ring
 from station.devices.cameras import CameraFile, SimulationFile, measuring
+from tests.harness.children import has_ended
 from tests.harness.waiting import until
 
 Opened = Callable[..., CameraHost]
@@ -152,4 +153,4 @@ def test_camera_process_ends_with_its_station(opened: Opened) -> None:
     process = psutil.Process(host.pid)
     host._child.pipe.close()
 
-    until(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE)
+    until(lambda: has_ended(process))

@@ -21,6 +21,7 @@ from station.recording.read import CaseRecording, read_case
 from station.recording.recorder import Recorder
 from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
+from tests.harness.children import has_ended
 from tests.harness.recordings import as_recorded
 from tests.harness.waiting import until
 from tests.tools.kill_recordings import PERIOD, Feed, kill_recorder
@@ -121,7 +122,7 @@ def test_the_recorder_of_a_killed_parent_finishes_its_recording_as_interrupted(t
         pid, written = map(int, parent.stdout.readline().split())
         recorder = psutil.Process(pid)
         parent.kill()
-    until(lambda: not recorder.is_running() or recorder.status() == psutil.STATUS_ZOMBIE)
+    until(lambda: has_ended(recorder))
 
     read = read_case(runs / "one" / "run.mcap")
     assert (read.label, read.cause) == (RunOutcome.INTERRUPTED, "the station process is gone")

@@ -11,6 +11,7 @@ from pyigtl import OpenIGTLinkClient
 from station.control.child_process import ChildProcess
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.states import State
+from tests.harness.children import has_ended
 from tests.harness.gateway import ANY, PAPER, eventually, gateway
 from tests.harness.root import ROOT
 from web.gateway.options import GatewayOptions, ListenAddress
@@ -72,4 +73,4 @@ def test_the_gateway_ends_with_its_parent() -> None:
     parent.kill()
     parent.wait()
     parent.stdout.close()
-    eventually(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE)
+    eventually(lambda: has_ended(child))
