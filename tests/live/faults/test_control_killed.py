@@ -3,6 +3,7 @@
 A reset then starts another control process.
 """
 
+import re
 import signal
 from pathlib import Path
 
@@ -22,7 +23,7 @@ def label(recordings: Path, run: str) -> RunOutcome:
 def test_stages_stop_after_a_kill_of_the_control_process_and_a_reset_starts_another(
     mortal: LoneStation, watched_lab: WatchedLab, recordings: Path
 ) -> None:
-    killed = mortal.child("control").pid
+    killed, known = mortal.child("control").pid, set((recordings / "last_seconds").glob("*.csv"))
     assert kill(mortal, watched_lab, "control", 0.3) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now)
     assert status["cause"].startswith("the control process ended by signal 9; ")
@@ -31,9 +32,9 @@ def test_stages_stop_after_a_kill_of_the_control_process_and_a_reset_starts_anot
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)
     assert mortal.child("control").pid != killed
-    kept = until(lambda: sorted((recordings / "last_seconds").glob("*-fault.csv")))
-    assert kept[-1].read_text().startswith("# the control process ended by signal 9")
-    assert len(kept[-1].read_text().splitlines()) > 400
+    (kept,) = until(lambda: set((recordings / "last_seconds").glob("*-fault.csv")) - known)
+    until(lambda: len(kept.read_text().splitlines()) > 400)  # the station writes it meanwhile
+    assert kept.read_text().startswith("# the control process ended by signal 9")
 
 
 def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
@@ -44,6 +45,7 @@ def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
     mortal.child("control").send_signal(signal.SIGSTOP)
     assert watched_lab.stop_delay(begin) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now["cause"] and now)
-    assert status["cause"].startswith("this computer was too busy: the control loop was silent for 1.")
+    # A watchdog that was delayed finds a longer silence.
+    assert re.match(r"this computer was too busy: the control loop was silent for \d+\.\d s", status["cause"])
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)

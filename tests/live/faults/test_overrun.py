@@ -3,6 +3,7 @@
 A late loop skips whole periods and never executes the missed ticks in a burst.
 """
 
+import os
 import signal
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +13,7 @@ import pytest
 
 from station.config.controllers import PERIOD_S
 from station.control.monitors import OverrunLimits, Overruns
+from station.control.realtime import request_fifo
 from station.devices.interfaces import Severity
 from station.recording.read import read_case
 from tests.harness.calm import CLOCK
@@ -59,11 +61,13 @@ def test_suspended_control_loop_skips_whole_periods_and_its_motion_ends_in_hold(
     def held_up() -> dict[str, Any] | None:
         """Suspend the control process for fifty periods; return the status if the run has ended.
 
-        A longer suspension would make the devices count as lost.
+        A longer suspension would make the devices count as lost, so no other program may delay this process meanwhile.
         """
+        request_fifo(60)
         control.send_signal(signal.SIGSTOP)
         CLOCK.sleep(0.1)
         control.send_signal(signal.SIGCONT)
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         CLOCK.sleep(0.1)
         status = mortal.ask("status")
         return status if status["state"] != "RUNNING" and status["cause"] else None

@@ -42,6 +42,6 @@ def test_a_station_without_sensors_holds_its_position_when_its_tracker_is_lost()
         station.post("/api/start", CIRCLE | {"duration": 600.0})
         station.wait_for(lambda s: s["phase"] == "moving")
         station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
-        held = station.wait_for(lambda s: s["state"] != "RUNNING")
+        held = station.wait_for(lambda s: s["state"] != "RUNNING" and s["cause"])
         assert held["state"] == "HOLD"
         assert "tracker" in held["cause"]

@@ -3,11 +3,12 @@
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
-import psutil
 import pytest
 
+from tests.harness.children import children
 from tests.harness.serving import Served, serving
 from tests.harness.true_cameras import write_true_views
 from tests.harness.waiting import until
@@ -24,8 +25,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 def camera_pids(station: Served) -> set[int]:
-    children = psutil.Process(station.process.pid).children(recursive=True)
-    return {child.pid for child in children if child.name() == "ctr-camera"}
+    return {camera.pid for camera in children(station.process.pid, "ctr-camera")}
 
 
 def test_run_on_cameras_alone_reaches_its_path(station: Served) -> None:
@@ -54,9 +54,10 @@ def test_run_ends_in_hold_without_one_camera_and_the_camera_returns(station: Ser
 
     pid = max(camera_pids(station))
     os.kill(pid, number)
-    held = station.wait_for(lambda status: status["state"] == "HOLD")
+    held = station.wait_for(lambda status: status["state"] == "HOLD" and status["cause"])
     if number == signal.SIGSTOP:
-        os.kill(pid, signal.SIGCONT)
+        with suppress(ProcessLookupError):  # it may have been replaced
+            os.kill(pid, signal.SIGCONT)
 
     assert "no frames arrive (camera " in held["message"]
     until(lambda: len(camera_pids(station)) == 2)
