@@ -15,6 +15,8 @@ from typing import Any
 import canopen
 from canopen.objectdictionary import ObjectDictionary
 
+from tests.harness.waiting import NET
+
 
 def main() -> None:
     """Execute the commands of the standard input until it ends."""
@@ -25,6 +27,7 @@ def main() -> None:
     nodes = {number: canopen.RemoteNode(number, ObjectDictionary()) for number in (1, 2, 3)}
     for node in nodes.values():
         network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = NET  # the default is 0.3 s, for which a busy computer may delay the drives
     data: dict[int, str] = {}
     for number in nodes:
         network.subscribe(0x180 + number, lambda can_id, content, _: data.update({can_id - 0x180: content.hex()}))

@@ -19,6 +19,7 @@ from station.lab.config import BaseSensorConfig, LabConfig, TrackerConfig
 from station.lab.faults import LabFault
 from station.lab.lab_server import LabServer
 from tests.harness.running_lab import running
+from tests.harness.waiting import until
 
 PARK = np.array([0.2, 1.2, -0.08])
 LOAD = np.array([0.3, 0.0, 0.0])
@@ -125,12 +126,22 @@ def test_device_that_returns_as_another_terminal_is_connected_again(paper, tmp_p
                 device.connect(time.monotonic())
                 assert device.condition is Condition.FAULT
                 assert "cannot be opened" in str(device.trouble(time.monotonic()))
+            links = [Path(lab.endpoints[name]) for name in ("zaber", "aurora")]
+            before = [link.lstat().st_ctime_ns for link in links]
             lab.lab.inject((), 0.0)
-            time.sleep(0.05)
+            until(lambda: all(_is_new(*pair) for pair in zip(links, before, strict=True)))  # plugged in again
             assert len(come_up(devices)) == 20, [device.trouble(time.monotonic()) for device in lost]
             assert not devices.stages.ready  # the stages must be homed again
         finally:
             close(devices)
+
+
+def _is_new(link: Path, before: int) -> bool:
+    """Return whether a symbolic link was made again after `before` [ns]."""
+    try:
+        return link.lstat().st_ctime_ns != before
+    except FileNotFoundError:  # it is being replaced
+        return False
 
 
 def no_tracker(bench: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from station.service.fallback_stop import NO_STAGES
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
 from tests.harness.running_lab import running
+from tests.harness.waiting import NET
 
 PARK = np.array([0.0, np.pi / 2.0, -0.1])
 
@@ -30,7 +31,7 @@ def test_station_with_real_devices_waits_for_home(paper, tmp_path: Path):
         supervisor = Supervisor(replace(load_station(None).bench(), devices=patient), tmp_path)
         try:
             supervisor.open()
-            supervisor.wait_ready(60.0)
+            supervisor.wait_ready(NET)
             status = supervisor.status()
             assert status.state is State.CONNECTED, status.cause
             assert dict(status.values) == {}  # there is no telemetry before the stages are homed

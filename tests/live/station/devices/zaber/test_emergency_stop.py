@@ -42,8 +42,7 @@ def set_going(lab: WatchedLab) -> SerialLink:
     for device in (1, 2, 3):
         link.write(encode(ZaberMessage(device, ZaberCommand.MOVE_SPEED, -500)))
         time.sleep(2 * MESSAGE_TIME_S)
-    time.sleep(0.05)
-    assert lab.notes()[-1].statuses == (22, 22, 22)
+    until(lambda: lab.notes()[-1].statuses == (22, 22, 22))
     return link
 
 
