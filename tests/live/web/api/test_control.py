@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import time
+from pathlib import Path
 from xml.etree import ElementTree
 
 import httpx
@@ -14,6 +15,8 @@ import viser
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from station.control.task import Phase
+from station.recording.read import read_case
 from tests.harness.calm import CLOCK
 from tests.harness.serving import Served
 
@@ -62,19 +65,18 @@ def test_a_telemetry_socket_is_refused_by_a_status_with_the_reason(
     ],
 )
 def test_a_script_runs_each_trajectory_to_its_end(
-    station: Served, trajectory: dict, duration: float, travel_mm: float
+    station: Served, trajectory: dict, duration: float, travel_mm: float, tmp_path: Path
 ) -> None:
     answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": duration})
     assert answer.status_code == 202, answer.text
     run = answer.json()["run_id"]
-    start = np.array(station.wait_for(lambda s: s["run"]["phase"] == "moving")["tip_true"])
-    tips = []
-    while (status := station.status())["state"] == "RUNNING":
-        assert status["run"]["id"] == run
-        tips.append(1e3 * (np.array(status["tip_true"]) - start))
-        time.sleep(0.02)
-    assert status["state"] == "READY"
-    reached = np.linalg.norm(tips, axis=1).max()
+    status = station.wait_for(lambda s: s["state"] != "RUNNING" and not s["run"]["recording"])
+    assert (status["state"], status["run"]["id"]) == ("READY", run)
+    # The recording has every tip; a script that reads the status may miss a short motion.
+    (tmp_path / "run.mcap").write_bytes(station.rest.get(f"/api/runs/{run}/recording").content)
+    recording = read_case(tmp_path / "run.mcap")
+    tips = 1e3 * recording.of("tip_true")[recording.of("phase")[:, 0] == Phase.MOVING]
+    reached = np.linalg.norm(tips - tips[0], axis=1).max()
     assert abs(reached - travel_mm) < 1.5
 
 
@@ -117,7 +119,7 @@ def test_a_load_that_changes_too_fast_is_accepted_with_a_warning_of_time_and_lim
     (warning,) = answer.json()["warnings"]
     assert "the joints cannot compensate load trapezoid: hold cannot be followed: at 0.2" in warning
     assert "because of speed of " in warning
-    assert warning in station.wait_for(lambda s: s["run"]["phase"] == "moving")["warnings"]
+    station.wait_for(lambda s: warning in s["warnings"])
     # The warning belongs to the run and disappears when the run ends.
     assert warning not in station.wait_for(lambda s: s["state"] == "READY")["warnings"]
     slow = station.post("/api/start", body | {"load": {**load, "rise": 60.0}})
@@ -126,11 +128,12 @@ def test_a_load_that_changes_too_fast_is_accepted_with_a_warning_of_time_and_lim
 
 def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
     assert station.post("/api/start", {"experiment": "fig10", "case": "feedforward"}).status_code == 202
-    station.wait_for(lambda s: s["run"]["phase"] == "moving")
-    joints = station.status()["joints"]
+    # The robot rests in the start pose before the motion, which leaves the pose.
+    status = station.wait_for(lambda s: s["run"]["phase"] in ("settling", "moving"))
+    joints = status["joints"]
     assert abs(joints["inner_translation"] + 0.100) < 1e-3
     assert abs(joints["inner_rotation"] - math.pi / 2) < 0.02
-    assert "fig10" in station.status()["run"]["title"]
+    assert "fig10" in status["run"]["title"]
 
 
 def test_stop_is_always_accepted_and_latches_until_reset(station: Served) -> None:
@@ -288,7 +291,7 @@ def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) ->
             socket.send(msgspec.msgpack.encode(message))
         socket.send("text")
         station.wait_for(lambda _: drops() >= {"an unknown or invalid message", "not a message of the scene"})
-    assert any("not operator" in reason for reason in drops())
+        station.wait_for(lambda _: any("not operator" in reason for reason in drops()))
 
 
 def test_a_run_continues_without_its_operator(station: Served) -> None:

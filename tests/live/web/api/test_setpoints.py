@@ -10,6 +10,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from station.client import Setpoints, Station, StationError
 from tests.harness.serving import Served
+from tests.harness.waiting import NET
 
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
 
@@ -17,8 +18,10 @@ WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the comp
 def test_a_script_streams_setpoints_and_receives_the_tips_state(station: Served) -> None:
     with Station(station.url) as script:
         with script.setpoints(**WIDE) as tip:
-            for now in tip.every(0.02, 2.0):
+            for now in tip.every(0.02, NET):
                 answer = tip.go(0.0, 0.0, min(0.004, 0.002 * now))
+                if now > 2.0 and answer["desired"][2] - tip.start[2] > 0.0005:
+                    break
             assert {"time", "measured", "estimated", "desired", "force", "error", "held_back"} <= set(answer)
             way = np.subtract(answer["desired"], tip.start)
             assert way[2] > 0.0005
@@ -69,9 +72,9 @@ def test_invalid_setpoints_are_refused_with_the_reason_and_the_run_continues(sta
 def test_only_a_silent_client_gets_the_timeout_as_the_cause_of_the_end(
     station: Served,
 ) -> None:
-    for last, cause in ((None, "no valid setpoint for 1 s"), ('{"end": true}', "")):
+    for last, cause in ((None, "no valid setpoint for 4 s"), ('{"end": true}', "")):
         with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
-            socket.send(json.dumps({"silence": 0.2, "end": 1.0}))
+            socket.send(json.dumps({"silence": 0.2, "end": 4.0}))  # the computer may be busy for seconds
             assert "run_id" in json.loads(socket.recv())
             assert json.loads(socket.recv()).get("ready")
             socket.send('{"velocity": [0, 0, 0.005]}')
@@ -84,9 +87,11 @@ def test_only_a_silent_client_gets_the_timeout_as_the_cause_of_the_end(
 def test_an_excessive_velocity_moves_the_tip_within_its_speed_limit(station: Served) -> None:
     with Station(station.url) as script, script.setpoints(**WIDE) as tip:
         places = []
-        for _ in tip.every(0.02, 1.0):
+        for now in tip.every(0.02, NET):
             places.append(tip.move(1e300, 1e3, -1e3))
             places.append(tip.move(0.0, 0.0, -1e3))
+            if now > 1.0 and places[-1]["desired"] != places[0]["desired"]:
+                break
     times, desired = np.array([one["time"] for one in places]), np.array([one["desired"] for one in places])
     assert np.isfinite(desired).all()
     way, took = np.linalg.norm(desired[-1] - desired[0]), times[-1] - times[0]
