@@ -51,13 +51,17 @@ def test_readme_script_ends_with_one_sentence_while_a_page_is_operator(near_home
     script = block("python", "station.home()").replace("Station()", f"Station({near_home.url!r})")
     assert near_home.post("/api/operator", {"name": "Anna", "take_over": True}).status_code == 200
     environment = {"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=NET, cwd=tmp_path, env=environment
-    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+    ) as done:
+        # Each request of the page renews its lease, which expires after 10 s; a script may take longer to start.
+        near_home.wait_for(lambda _: done.poll() is not None)
+        assert done.stderr is not None
+        error = done.stderr.read()
     near_home.rest.delete("/api/operator")
     assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
-    assert done.stderr.startswith("'Anna' is operator, so this script may not send commands: press Release")
+    assert error.count("\n") == 1
+    assert error.startswith("'Anna' is operator, so this script may not send commands: press Release")
 
 
 def test_readme_script_streams_setpoints(near_home: Served, tmp_path: Path):

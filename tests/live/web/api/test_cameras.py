@@ -50,16 +50,23 @@ def decoded(jpeg: bytes) -> NDArray[np.uint8]:
 
 
 def test_cameras_are_listed_with_their_state(station: Served) -> None:
-    until(lambda: not cameras(station)["side"]["problem"] and not cameras(station)["top"]["problem"])
-    found = cameras(station)
+    def listed() -> dict[str, dict[str, Any]] | None:
+        """Return the cameras as soon as the process of each has reported."""
+        now = cameras(station)
+        reported = (
+            not now["side"]["problem"] and not now["top"]["problem"] and "no such device" in now["usb"]["problem"]
+        )
+        return now if reported else None
+
+    found = until(listed)
+    assert found is not None
 
     assert list(found) == ["side", "top", "usb"]
     assert found["side"]["simulated"]
     assert found["side"]["calibrated"]
     assert "no such device" in found["usb"]["problem"]
     assert not found["usb"]["calibrated"]
-    lights = station.status()["devices"]
-    assert lights["camera side"]["severity"] == 0
+    lights = station.wait_for(lambda status: status["devices"]["camera side"]["severity"] == 0)["devices"]
     assert lights["camera usb"] == {"severity": 1, "condition": "fault", "text": found["usb"]["problem"]}
 
 

@@ -198,11 +198,11 @@ def test_the_scene_marks_stale_telemetry_and_recovers_after_a_restart(viewed: Vi
 
 def test_a_simulated_robot_that_cannot_follow_its_stages_causes_a_warning(viewed: Viewed) -> None:
     viewed.make_ready()
-    before = viewed.supervisor.status().warnings
     # The load is larger than a request may set, so that the simulated robot has no stable shape.
     viewed.supervisor.apply_load(ConstantLoad.model_construct(magnitude=1e6))
     try:
         until(lambda: any("cannot follow" in text for text in viewed.supervisor.status().warnings))
     finally:
         viewed.supervisor.apply_load(NoLoad())
-    until(lambda: viewed.supervisor.status().warnings == before)
+    # Other warnings may come and go meanwhile on a busy computer.
+    until(lambda: not any("cannot follow" in text for text in viewed.supervisor.status().warnings))
