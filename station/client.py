@@ -41,6 +41,8 @@ STARTING = ("CONNECTING", "HOMED")
 POLL_INTERVAL_S = 0.2
 #: Timeout of a request [s]. Homing and the rendering of a report may take longer.
 REQUEST_TIMEOUT_S = 70.0
+#: Longest wait for a station that has just started [s]; after an installation it first compiles its code.
+START_TIMEOUT_S = 300.0
 
 
 class StationError(CtrError):
@@ -438,8 +440,8 @@ class Station:
         self._format_checked = True
 
     def _wait_connected(self) -> None:
-        """Wait at most `REQUEST_TIMEOUT_S` until the station has connected to its devices; do this once."""
-        deadline = time.monotonic() + REQUEST_TIMEOUT_S
+        """Wait at most `START_TIMEOUT_S` until the station has connected to its devices; do this once."""
+        deadline = time.monotonic() + START_TIMEOUT_S
         while not self._connected and time.monotonic() < deadline:
             self._connected = self._send("GET", "/api/status")["state"] not in STARTING
             if not self._connected:
