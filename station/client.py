@@ -431,7 +431,7 @@ class Station:
         """
         if self._format_checked:
             return
-        reported = self._send("GET", "/api/status").get("format", 1)
+        reported = self._connection_status().get("format", 1)
         if reported > FORMAT:
             raise StationError(
                 f"{self._http.base_url}: the station's REST has format {reported}, but this client supports at most"
@@ -443,9 +443,14 @@ class Station:
         """Wait at most `START_TIMEOUT_S` until the station has connected to its devices; do this once."""
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self._connected and time.monotonic() < deadline:
-            self._connected = self._send("GET", "/api/status")["state"] not in STARTING
-            if not self._connected:
-                time.sleep(POLL_INTERVAL_S)
+            time.sleep(POLL_INTERVAL_S)
+            self._connection_status()
+
+    def _connection_status(self) -> dict[str, Any]:
+        """Return the status, and note whether the station has connected to its devices."""
+        status = self._send("GET", "/api/status")
+        self._connected = status.get("state") not in STARTING
+        return status
 
     def _request(self, method: str, path: str, body: Any = None) -> Any:
         self._check_format()
