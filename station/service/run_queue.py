@@ -125,17 +125,16 @@ class RunQueue:
         Raises:
             RefusedError: there is no such entry, or it is running.
         """
-        status = self._supervisor.status()
         with self._lock:
             entry = self._entry(number)
-            if _runs(entry, status):
+            if _runs(entry, self._supervisor.status()):
                 raise RefusedError(f"'{entry.title}' is running: press STOP to end it")
             self._entries = tuple(one for one in self._entries if one.id != number)
 
     def clear(self) -> None:
         """Remove every entry that is not running."""
-        status = self._supervisor.status()
         with self._lock:
+            status = self._supervisor.status()
             self._entries = tuple(one for one in self._entries if _runs(one, status))
 
     def move(self, number: int, by: int) -> None:
@@ -184,16 +183,20 @@ class RunQueue:
         if status.recording:
             return
         state, reason = self._ended
-        if state is State.READY:
-            self._put(replace(entry, state=EntryState.DONE))
-        else:
-            self._put(replace(entry, state=EntryState.FAILED, reason=reason))
-            self.pause(f"'{entry.title}' ended in {state.name}: {reason}")
+        with self._lock:
+            if all(one.id != entry.id for one in self._entries):
+                return  # the entry has been removed, and the queue may already have a new permit
+            if state is State.READY:
+                self._put(replace(entry, state=EntryState.DONE))
+            else:
+                self._put(replace(entry, state=EntryState.FAILED, reason=reason))
+                self.pause(f"'{entry.title}' ended in {state.name}: {reason}")
 
     def _start_next(self) -> None:
-        status = self._supervisor.status()
         with self._lock:
+            # The state is read after the permit: an older state could pause a queue that has just been filled.
             permit, entry = self._permit, self._next()
+            status = self._supervisor.status()
             if permit is None:
                 return
             if entry is None:
@@ -211,11 +214,14 @@ class RunQueue:
         try:
             run = entry.start(permit)
         except VoidError as error:  # a STOP or a reset: the run may still be started after `resume`
-            self.pause(str(error))
+            with self._lock:
+                if self._permit is permit:  # a newer permit is not void
+                    self.pause(str(error))
             return
         except CtrError as error:
-            self._put(replace(entry, state=EntryState.FAILED, reason=str(error)))
-            self.pause(f"'{entry.title}' did not start: {error}")
+            with self._lock:
+                self._put(replace(entry, state=EntryState.FAILED, reason=str(error)))
+                self.pause(f"'{entry.title}' did not start: {error}")
             return
         self._put(replace(entry, state=EntryState.RUNNING, run=run.id))
 
