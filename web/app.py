@@ -25,6 +25,7 @@ from starlette.types import ASGIApp
 from station.recording.history import RunHistory
 from station.service.audit import Audit
 from station.service.live_calibration import LiveCalibration
+from station.service.permits import Permit
 from station.service.run_queue import RunQueue
 from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
@@ -240,14 +241,15 @@ def build_app(
     stopping = ThreadPoolExecutor(STOPS_AT_ONCE, "stop")
     queue = RunQueue(service.supervisor)
 
-    def operator_lost() -> None:
-        queue.pause("the operator has left")
+    def operator_lost(permit: Permit | None) -> None:
+        if permit is not None:
+            queue.pause("the operator has left", permit)
         service.supervisor.operator_gone()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         queue.open()
-        tasks = [asyncio.create_task(watch_operator(of.lease, operator_lost))]
+        tasks = [asyncio.create_task(watch_operator(of.lease, lambda: queue.permit, operator_lost))]
         if gateway is not None:
             tasks.append(asyncio.create_task(gateway.run(targets.receive)))
         yield

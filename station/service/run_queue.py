@@ -113,10 +113,15 @@ class RunQueue:
                 raise RefusedError("no run of the queue waits: add one")
             self._permit, self._prepared = permit.lasting(), waiting.id
 
-    def pause(self, reason: str) -> None:
-        """Start no further run; the present run continues."""
+    @property
+    def permit(self) -> Permit | None:
+        """Permit with which the queue starts its runs now; None while it is paused."""
+        return self._permit
+
+    def pause(self, reason: str, permit: Permit | None = None) -> None:
+        """Start no further run; the present run continues. With `permit`, keep a queue that has another permit now."""
         with self._lock:
-            if self._permit is not None:
+            if self._permit is not None and (permit is None or permit is self._permit):
                 self._permit, self._pause = None, reason
 
     def remove(self, number: int) -> None:
@@ -214,9 +219,7 @@ class RunQueue:
         try:
             run = entry.start(permit)
         except VoidError as error:  # a STOP or a reset: the run may still be started after `resume`
-            with self._lock:
-                if self._permit is permit:  # a newer permit is not void
-                    self.pause(str(error))
+            self.pause(str(error), permit)
             return
         except CtrError as error:
             with self._lock:

@@ -141,14 +141,17 @@ def operator_routes(of: Commands) -> APIRouter:
 LEASE_POLL_INTERVAL_S = 0.25
 
 
-async def watch_operator(lease: Lease, lost: Callable[[], None]) -> None:
-    """Call `lost()` in a thread each time the operator is lost; run until cancelled."""
+async def watch_operator(lease: Lease, present: Callable[[], T], lost: Callable[[T], None]) -> None:
+    """Call `lost(present())` each time the operator is lost; run until cancelled.
+
+    `lost` runs in a thread, when there may be another operator. `present` returns at once what the loss concerns.
+    """
     had_operator = False
     while True:
         await asyncio.sleep(LEASE_POLL_INTERVAL_S)
         has_operator = lease.holder() is not None
         if had_operator and not has_operator:
-            await asyncio.to_thread(lost)
+            await asyncio.to_thread(lost, present())
         had_operator = has_operator
 
 
