@@ -445,6 +445,7 @@ class Station:
         while not self._connected and time.monotonic() < deadline:
             time.sleep(POLL_INTERVAL_S)
             self._connection_status()
+        self._connected = True  # later commands do not wait: the station refuses them with the reason
 
     def _connection_status(self) -> dict[str, Any]:
         """Return the status, and note whether the station has connected to its devices."""

@@ -23,8 +23,8 @@ SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
 MAX_TRIANGLES, LEAF = 100_000, 8
 #: Largest extent of a mesh [m]; a file in a wrong unit is larger.
 MAX_EXTENT_M = 2.0
-#: Largest depth of the tree of boxes, which is halved at each level.
-MAX_DEPTH = 32
+#: Largest number of boxes that wait in a search: one for each level of the tree, whose levels halve the triangles.
+MAX_WAITING = 32
 
 
 class Mesh(NamedTuple):
@@ -34,8 +34,8 @@ class Mesh(NamedTuple):
     normals: Array  #: (t, 3) outward unit vectors
     spheres: Array  #: (t, 4) centre and radius of a sphere around each triangle [m]
     boxes: Array  #: (b, 6) lowest and highest corner of each box; the first box contains all triangles [m]
-    #: (b, 2) first triangle and number of triangles of a box. The number is 0 if a box contains two further boxes: the
-    #: next one, and the one whose number then replaces the first triangle.
+    #: (b, 2) index of the first triangle of a box, and its number of triangles. A box of boxes has the number 0: it
+    #: contains the box after it, and the box whose index is given instead of a triangle's.
     contents: NDArray[np.int64]
 
 
@@ -47,7 +47,7 @@ def mesh(triangles: Array) -> Mesh:
     """Return the mesh of closed, outward triangles (t, 3, 3) [m].
 
     Raises:
-        DescriptionError: no triangle, too many, or corners that are not finite.
+        DescriptionError: no triangle, too many, corners that are not finite, or a mesh above `MAX_EXTENT_M`.
     """
     if triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not 0 < len(triangles) <= MAX_TRIANGLES:
         raise DescriptionError(f"a mesh has {len(triangles)} triangles; 1 ... {MAX_TRIANGLES} are possible")
@@ -187,7 +187,7 @@ def _box_distance(numbers: Array, point: Array, direction: Array) -> float:
 def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
     """Compute `signed_distance` for a mesh."""
     best, reachable, side, offset = np.inf, np.inf, 1.0, np.empty(3)
-    waiting, squares, count = np.empty(MAX_DEPTH, np.int64), np.empty(MAX_DEPTH), 1
+    waiting, squares, count = np.empty(MAX_WAITING, np.int64), np.empty(MAX_WAITING), 1
     waiting[0], squares[0] = 0, 0.0
     while count > 0:
         count -= 1

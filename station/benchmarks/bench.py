@@ -4,6 +4,7 @@ The rate of one core is the number of solves or steps in a second of processor t
 programs. The rate of several cores is the number in a second of real time.
 """
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -259,7 +260,9 @@ def tick(seconds: float = 20.0) -> dict[str, Any]:
     return found
 
 
-def _tick(case: Case, seconds: float) -> dict[str, float]:
+@contextlib.contextmanager
+def timed_steps() -> Iterator[list[float]]:
+    """Collect the duration of each step of the controller [s], in this process."""
     taken: list[float] = []
 
     def timed(*arguments: Any) -> control_step.Tick:
@@ -270,12 +273,17 @@ def _tick(case: Case, seconds: float) -> dict[str, float]:
 
     loop.step = timed
     try:
+        yield taken
+    finally:
+        loop.step = control_step.step
+
+
+def _tick(case: Case, seconds: float) -> dict[str, float]:
+    with timed_steps() as taken:
         for duration in (2.0, seconds):
             taken.clear()
             file = case.file.model_copy(update={"duration": duration})
             run_case(case._replace(file=file), 0, VirtualClock(), lambda _: None)
-    finally:
-        loop.step = control_step.step
     # Only ticks of the motion count: during its preparation the controller does not compute the inverse kinematics.
     moving = 1e6 * np.array(taken[-int(seconds * 500) :])
     part = np.percentile(moving, [50, 99, 99.9])

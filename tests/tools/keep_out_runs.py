@@ -1,12 +1,12 @@
 """Random motions between obstacles or in a lumen.
 
-`python -m tests.tools.keep_out_runs LAB [--kind lumen] [--runs 10] [--first 0] [--force 0.3] [--calibrated]`
+`python -m tests.tools.keep_out_runs LAB [--kind lumen] [--runs 10] [--first 0] [--force 0.3] [--calibrated] [--time]`
 
 With the kind `spheres` each run has three spheres at 2 to 8 mm from the model's tubes of the start pose and at least
 2 mm from the true ones. With the kind `lumen` the tubes are inside a mesh of 2016 triangles around those of the start
 pose, with a radius of 6 to 12 mm that changes along the axis. Each run has four random waypoints within 12 mm, and a
 load of up to `--force` [N] in a random direction, which rises in 5 s. With `--calibrated` the bench of each seed is
-first calibrated by itself.
+first calibrated by itself. With `--time` each run is repeated with a controller that does not know the regions.
 
 The program prints the smallest clearance of the true tubes, less the margin of 1 mm, and how many motions ended in
 HOLD. The path is not checked before its start, so it may lead through a region: the tubes of the controller's model
@@ -16,13 +16,16 @@ then miss the margin if their tip is at the setpoint, or the setpoint has passed
 import argparse
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
 from core.model.backbone import backbone
 from core.robot.keep_out import KeepOut
 from core.robot.robot import Array
+from station.benchmarks.bench import timed_steps
 from station.config.loads import RampLoad
 from station.config.motions import WaypointsMotion
 from station.config.regions import MeshRegion, RegionFile, SphereRegion, keep_out
@@ -82,6 +85,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--force", type=float, default=0.3, help="largest load [N]")
     parser.add_argument("--calibrated", action="store_true", help="calibrate the bench of each seed first")
+    parser.add_argument("--time", action="store_true", help="print the durations of the controller's steps, too")
     wanted = parser.parse_args()
     lab, smallest, stopped, through, folder = wanted.lab, np.inf, 0, 0, Path(tempfile.mkdtemp())
     for seed in range(wanted.first, wanted.first + wanted.runs):
@@ -103,7 +107,13 @@ def main() -> None:
             own.mkdir()
             write(own, lab, seed)
             calibration = BenchCalibration.load(own, ROBOT)
-        found = run_between(regions, motion, DURATION_S, load, lab=lab, seed=seed, calibration=calibration)
+        run = partial(run_between, regions, motion, DURATION_S, load, lab=lab, seed=seed, calibration=calibration)
+        with timed_steps() as taken:
+            found = run()
+        if wanted.time:
+            with timed_steps() as free:
+                run(limited=False)
+            print(f"{seed}: median of a step {1e6 * median(taken):.0f} us, without regions {1e6 * median(free):.0f} us")  # noqa: T201
         smallest, stopped = min(smallest, found.true), stopped + bool(found.cause)
         through += found.at_setpoint < 0.0 or found.cause.startswith("the path leads through the region")
         hold = f", at the setpoint {1e3 * found.at_setpoint:.2f} mm: {found.cause}" if found.cause else ""

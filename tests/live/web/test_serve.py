@@ -40,7 +40,7 @@ def test_the_serve_command_reports_a_busy_port() -> None:
 def test_a_station_that_connects_to_its_devices_shows_the_page_refuses_motions_and_takes_a_stop() -> None:
     with serving(rate=0.1, connected=False) as station:
         assert station.status()["state"] == "CONNECTING"
-        # The control process compiles its code first; a STOP at that time is only answered after this.
+        # The control process first compiles its code, and executes a STOP of that time after this.
         assert station.wait_for(lambda status: status["loop"]["ticks"] > 0)["state"] == "CONNECTING"
         assert "<title>" in station.rest.get("/").text
         refused = station.post("/api/start", {"trajectory": {"kind": "hold"}})

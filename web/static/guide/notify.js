@@ -1,5 +1,5 @@
 // What happens is visible in another tab, too: title and icon of the page; on request also sounds and notifications.
-import { $, clock, make, onStatus } from "../page/station.js";
+import { $, clock, isSilent, make, onStatus } from "../page/station.js";
 
 const COLOURS = { READY: "#007a59", RUNNING: "#0072b2", HOMING: "#0072b2", CONNECTING: "#0072b2", HOLD: "#c77d00", STOPPED: "#c77d00", FAULT: "#c62828" };
 const ENDS = { READY: "The run is complete", HOLD: "HOLD", STOPPED: "STOPPED", FAULT: "FAULT" };
@@ -18,7 +18,7 @@ let finished = ""; // title of the run that has ended while the page was hidden
 document.addEventListener("visibilitychange", () => { if (!document.hidden) finished = ""; });
 
 function title(status) {
-  if (status === null) return "NO ANSWER";
+  if (status === null) return isSilent() ? "NO ANSWER" : "ctr-station"; // not silent: the page has just been opened
   const { run, state } = status;
   if (state !== "RUNNING" || run === null) return state !== "READY" ? state : finished === "" ? "ctr-station" : `complete · ${finished}`;
   return run.phase === "moving" ? `${Math.round(100 * run.progress)} % · ${clock(run.duration * (1 - run.progress))} left · ${run.title}` : `${run.phase} · ${run.title}`;

@@ -31,6 +31,14 @@ def reached(station: Served, condition: Callable[[dict[str, Any]], bool]) -> dic
     return queue(station)
 
 
+def move_while_another_run_waits(station: Served) -> None:
+    """Queue a long and a short run, and wait until the robot moves in the long one."""
+    station.post("/api/queue", LONG)
+    station.post("/api/queue", SHORT)
+    reached(station, lambda now: now["entries"][0]["state"] == "running")
+    station.wait_for(lambda s: s["phase"] == "moving")
+
+
 def test_queue_runs_its_entries_one_after_the_other(station: Served) -> None:
     answer = station.post("/api/queue", SHORT | {"repeat": 3})
     assert answer.status_code == 200, answer.text
@@ -43,10 +51,7 @@ def test_queue_runs_its_entries_one_after_the_other(station: Served) -> None:
 
 
 def test_stop_pauses_the_queue_and_nothing_moves_after_the_reset_until_it_is_resumed(station: Served) -> None:
-    station.post("/api/queue", LONG)
-    station.post("/api/queue", SHORT)
-    reached(station, lambda now: now["entries"][0]["state"] == "running")
-    station.wait_for(lambda s: s["phase"] == "moving")
+    move_while_another_run_waits(station)
     station.post("/api/stop")
     paused = reached(station, lambda now: now["paused"] != "")
     assert [one["state"] for one in paused["entries"]] == ["failed", "waiting"]
@@ -98,10 +103,7 @@ def test_all_cases_of_an_experiment_are_queued_by_one_request(station: Served) -
 
 
 def test_clearing_the_queue_removes_a_stopped_run_whose_recording_is_not_complete(station: Served) -> None:
-    station.post("/api/queue", LONG)
-    station.post("/api/queue", SHORT)
-    reached(station, lambda now: now["entries"][0]["state"] == "running")
-    station.wait_for(lambda s: s["phase"] == "moving")
+    move_while_another_run_waits(station)
     station.post("/api/stop")
     station.wait_for(lambda s: s["state"] == "STOPPED")
     assert station.rest.delete("/api/queue").json()["entries"] == []
