@@ -31,9 +31,7 @@ from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
 PARTS = ("first quarter", "second quarter", "third quarter", "last quarter", "end of an outer tube")
-#: Clearance beyond which the nearest point between two points of the tubes is not searched [m].
-FAR_M = 0.010
-#: Clearance beyond which a part of the tubes has only the row of its nearest point [m].
+#: Clearance beyond which a part of the tubes has only the row of its nearest point; between points none is searched [m].
 NEAR_M = 0.004
 #: Distance from the nearest point at which the surface is probed, forward and back along each axis [m].
 PROBE_M = 0.002
@@ -45,7 +43,7 @@ ROWS = 1 + PROBES + 2
 #: Distance by which the clearance may be missed, because the limit lets the tubes come close to the margin [m].
 TOLERANCE_M = 1e-4
 #: Clearance at which the tubes stop [m]; the noise of the observed tip changes the clearance by about as much.
-RESERVE_M = 8e-5
+RESERVE_M = 1.5e-4
 #: Time constant of a retreat [s], twice the delay of the stages.
 RETREAT_TIME_S = 0.15
 
@@ -96,10 +94,12 @@ class KeepOut:
         last = self.__dict__.get("_last")  # a tick evaluates a limit three times
         if last is not None and last[0] is near:
             return last[1]
-        m = len(PARTS) * ROWS
-        found = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.empty((len(PARTS), 7))
-        _rows(self.region.packed, *self.region.mesh, *near, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
-        self.__dict__["_last"] = near, found
+        m, points = len(PARTS) * ROWS, near.points
+        found = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.zeros((len(PARTS), 7))
+        same = last is not None and len(last[2]) == len(points)
+        measured = last[2].copy() if same else np.full((len(points), 7), -np.inf)
+        _rows(self.region.packed, *self.region.mesh, *near, measured, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
+        self.__dict__["_last"] = near, found, measured
         return found
 
     def check(self, at: LimitContext) -> None:
@@ -132,10 +132,14 @@ def region_at(limits: Sequence[object], point: Array) -> str | None:
 @compiled
 def _rows(
     region: Array, triangles: Array, normals: Array, spheres: Array, boxes: Array, contents: NDArray[np.int64],
-    points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, braking: float,
-    retreat: float, rows: Array, room: Array, nearest: Array,
+    points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, measured: Array,
+    braking: float, retreat: float, rows: Array, room: Array, nearest: Array,
 ) -> None:  # fmt: skip
-    """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth."""
+    """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth.
+
+    `measured` (m, 7) has for each point the place where it was measured last, and the region's distance and direction
+    there; it is updated.
+    """
     surface = Mesh(triangles, normals, spheres, boxes, contents)
     sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
     convex = region[0] != MESH and sign > 0.0
@@ -145,15 +149,18 @@ def _rows(
         first, last = part * (along - 1) // quarters, (part + 1) * (along - 1) // quarters
         if part == quarters:
             first, last = along, points.shape[0] - 1
-        at, best = _nearest_index(region, surface, points, radii, first, last)
+        at, best = _nearest_index(region, surface, points, radii, first, last, measured, normal)
         if at < 0:
             continue  # a robot of one tube has no outer ends
         share, between = 0.0, at < along and along > 2
-        if best < FAR_M and between:
+        if best - margin < NEAR_M and between:
             end, at = at - min(max(at, 1), along - 2), min(max(at, 1), along - 2)  # the ends have one neighbour
             share = _nearest_share(region, surface, points, at, end, best + radii[at + end])
-        _between(points, at, share, point)
-        best = sign * signed_distance(region, surface, point, normal) - radii[at + int(np.floor(share))] - margin
+            _between(points, at, share, point)
+            best = sign * signed_distance(region, surface, point, normal) - radii[at + int(np.floor(share))]
+        else:
+            _between(points, at, share, point)
+        best -= margin
         nearest[part, 0] = best
         for k in range(3):
             nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * normal[k]
@@ -191,22 +198,28 @@ def _rows(
 
 @compiled
 def _nearest_index(
-    region: Array, surface: Mesh, points: Array, radii: Array, first: int, last: int
+    region: Array, surface: Mesh, points: Array, radii: Array, first: int, last: int, measured: Array, normal: Array
 ) -> tuple[int, float]:
     """Return the index of the nearest point from `first` to `last`, and the distance of the tubes there.
 
-    The index is -1 if there are no points.
+    A distance changes at most as much as its point moves. So each measured distance less the motion since then bounds
+    the present one, and only points are measured that can be the nearest. The index is -1 if there are no points.
+    `normal` becomes the direction in which the region's distance grows there.
     """
-    best, at, reachable, direction = np.inf, -1, -np.inf, np.empty(3)
-    for i in range(first, last + 1):
-        if i > first:  # the distance changes at most as much as the point moves
-            reachable -= np.sqrt(_square(points[i], points[i - 1]))
-        if reachable > best:
-            continue
-        distance = region[1] * signed_distance(region, surface, points[i], direction) - radii[i]
-        reachable = distance + radii[i] - max(radii[first], radii[last])
-        if distance < best:
-            best, at = distance, i
+    best, at = np.inf, -1
+    for _ in range(last - first + 2):  # each turn but the last one measures one point
+        best, at, unknown = np.inf, -1, False
+        for i in range(first, last + 1):
+            moved = _square(points[i], measured[i])
+            bound = measured[i, 3] - np.sqrt(moved) - radii[i]
+            if bound < best or at < 0:
+                best, at, unknown = bound, i, not moved == 0.0
+        if not unknown:
+            break
+        measured[at, :3] = points[at]
+        measured[at, 3] = region[1] * signed_distance(region, surface, points[at], measured[at, 4:])
+    for k in range(3 if at >= 0 else 0):
+        normal[k] = measured[at, 4 + k]
     return at, best
 
 

@@ -37,11 +37,27 @@ def test_clearance_counts_radius_and_margin_and_finds_the_point_between_two_poin
 @pytest.mark.parametrize("height", [0.001, 0.0022, 0.0978, 0.099])
 def test_clearance_is_found_between_the_last_two_points_of_the_tubes(height: float) -> None:
     """Points at distances of 6 mm, and a sphere of 5 mm, miss the nearest point by half a millimetre."""
-    line = straight(np.array([[0.012, 0.0, z] for z in np.linspace(0.0, 0.1, 17)]))
+    line = straight(np.array([[0.0095, 0.0, z] for z in np.linspace(0.0, 0.1, 17)]))
     found = KeepOut(Region("ball", "sphere", (0.0, 0.0, height, 0.005), margin=0.0)).clearance(line)
 
-    assert found.distance == pytest.approx(0.012 - 0.005 - 0.001, abs=3e-5)
+    assert found.distance == pytest.approx(0.0095 - 0.005 - 0.001, abs=3e-5)
     assert found.point[2] == pytest.approx(height, abs=6e-4)
+
+
+def test_a_limit_that_has_measured_other_tubes_finds_the_clearance_of_a_new_limit() -> None:
+    """The tubes move in a tube of triangles, in small and large steps; measured distances must not outlive a motion."""
+    wall = trimesh.creation.cylinder(radius=0.012, height=0.3, sections=24)
+    region = Region("lumen", "mesh", (), inside=True, margin=0.001, mesh=mesh(np.asarray(wall.triangles)))
+    used, random = KeepOut(region), np.random.default_rng(8)
+    base = np.array([[0.0, 0.0, z] for z in np.linspace(-0.1, 0.1, 32)])
+    shift, bend = np.zeros(3), np.zeros(3)
+    for number in range(300):
+        step = 3e-3 if number % 50 == 0 else 1e-5
+        shift = np.clip(shift + step * random.normal(size=3), -0.004, 0.004)
+        bend = np.clip(bend + step * random.normal(size=3), -0.004, 0.004)
+        line = straight(base + shift + np.outer(np.linspace(0.0, 1.0, 32) ** 2, bend))
+        for found, wanted in zip(used.evaluated(line), KeepOut(region).evaluated(line), strict=True):
+            assert np.array_equal(found, wanted)
 
 
 def test_clearance_of_a_region_in_front_of_the_tip_is_that_of_the_tip() -> None:
