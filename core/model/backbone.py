@@ -12,7 +12,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.model.propagation import Scheme, propagate
-from core.model.solution import Solution
+from core.model.solution import CONTACT_POSITION, Solution, fields
 from core.model.statics import Statics
 from core.robot.limits import Backbone
 from core.robot.robot import FLUSH_TOLERANCE_M, Array, tube_poses, unpack
@@ -78,26 +78,26 @@ def _sampled(statics: Statics, solution: Solution, joints: int, force_rate: Arra
     at_rest = np.zeros((m, 3)), np.zeros((m, 3))
     found, shares = Backbone(np.empty((m, 3)), np.empty(m), np.empty((m, 3, joints)), *at_rest, POINTS), np.empty(m)
     _sample(
-        packed, order, sublink, solution.joints, solution.wrench, solution.contact, solution.unknowns,
-        solution.sensitivity, statics.outer_radii, tubes, force_rate, *found[:4], shares,
-        np.empty((statics.max_sections, 16 + 2 * q)),
+        packed, order, sublink, solution.numbers, statics.outer_radii, tubes, force_rate, *found[:4], shares,
+        statics.max_sections,
     )  # fmt: skip
     return found, shares
 
 
 @compiled
 def _sample(
-    packed: Array, order: int, sublink: float, joints: Array, wrench: Array, contact: float, unknowns: Array,
-    sensitivity: Array, outer_radii: Array, tubes: tuple[float, ...], force_rate: Array,
-    points: Array, radii: Array, jacobian: Array, drift: Array, shares: Array, path: Array,
+    packed: Array, order: int, sublink: float, solution: Array, outer_radii: Array, tubes: tuple[float, ...],
+    force_rate: Array, points: Array, radii: Array, jacobian: Array, drift: Array, shares: Array, max_sections: int,
 ) -> None:  # fmt: skip
-    """Compute the parts of a `Backbone` and each point's share of the length (m,); `path` is work space.
+    """Compute the parts of a `Backbone` and each point's share of the length (m,) from a solution's numbers.
 
     `drift` becomes the velocity of the points that `force_rate` causes.
     """
-    layout, scheme, q = unpack(packed), Scheme(order, sublink), len(tubes)
-    m, n, state, rates, force = points.shape[0], joints.shape[0], np.empty(18 + 2 * q), np.empty(0), wrench[:3].copy()
-    moved, shifted, moved_points, ends = joints.copy(), unknowns.copy(), np.empty_like(points), np.empty(q)
+    layout, scheme, q, at = unpack(packed), Scheme(order, sublink), len(tubes), fields(solution)
+    joints, unknowns, sensitivity, contact = at.joints, at.unknowns, at.sensitivity, solution[CONTACT_POSITION]
+    m, n, force, moved, shifted = points.shape[0], joints.shape[0], at.wrench[:3].copy(), joints.copy(), unknowns.copy()
+    state, rates, moved_points, ends = np.empty(18 + 2 * q), np.empty(0), np.empty_like(points), np.empty(q)
+    path = np.empty((max_sections, 16 + 2 * q))
     load = jacobian.shape[2]
     for j in range(-1, load + 1):  # -1: the shape; `load`: its change by the load
         if j == load and force_rate[0] == 0.0 and force_rate[1] == 0.0 and force_rate[2] == 0.0:

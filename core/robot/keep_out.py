@@ -31,7 +31,7 @@ from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
 PARTS = ("first quarter", "second quarter", "third quarter", "last quarter", "end of an outer tube")
-#: Clearance beyond which a part of the tubes has only the row of its nearest point; between points none is searched [m].
+#: Clearance beyond which a part of the tubes has only the row of its nearest point, which is one of the points [m].
 NEAR_M = 0.004
 #: Distance from the nearest point at which the surface is probed, forward and back along each axis [m].
 PROBE_M = 0.002
@@ -213,7 +213,7 @@ def _nearest_index(
             moved = _square(points[i], measured[i])
             bound = measured[i, 3] - np.sqrt(moved) - radii[i]
             if bound < best or at < 0:
-                best, at, unknown = bound, i, not moved == 0.0
+                best, at, unknown = bound, i, moved != 0.0
         if not unknown:
             break
         measured[at, :3] = points[at]
