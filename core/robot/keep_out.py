@@ -57,6 +57,14 @@ class Clearance(NamedTuple):
     nearest: Array  #: (3,) nearest point of the region's surface [m]
 
 
+class _Evaluated(NamedTuple):
+    """Last result of `KeepOut.evaluated`."""
+
+    near: Backbone
+    found: tuple[Array, Array, Array]
+    measured: Array  #: (m, 7) place, distance and direction of each point when it was measured last
+
+
 @built_in
 @dataclass(frozen=True)
 class KeepOut:
@@ -91,15 +99,17 @@ class KeepOut:
 
         Where the room is negative, a retreat is necessary, with this speed [m/s].
         """
-        last = self.__dict__.get("_last")  # a tick evaluates a limit three times
-        if last is not None and last[0] is near:
-            return last[1]
+        last: _Evaluated | None = self.__dict__.get("_last")  # a tick evaluates a limit three times
+        if last is not None and last.near is near:
+            return last.found
         m, points = len(PARTS) * ROWS, near.points
         found = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.zeros((len(PARTS), 7))
-        same = last is not None and len(last[2]) == len(points)
-        measured = last[2].copy() if same else np.full((len(points), 7), -np.inf)
+        if last is not None and len(last.measured) == len(points):
+            measured = last.measured.copy()  # another thread may read it
+        else:
+            measured = np.full((len(points), 7), -np.inf)
         _rows(self.region.packed, *self.region.mesh, *near, measured, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
-        self.__dict__["_last"] = near, found, measured
+        self.__dict__["_last"] = _Evaluated(near, found, measured)
         return found
 
     def check(self, at: LimitContext) -> None:
