@@ -25,7 +25,7 @@ from station.devices.interfaces import with_details
 from station.experiments.experiment import Case
 from station.experiments.job_pool import interrupts
 from station.lab.config import LabConfig
-from station.lab.virtual_bench import virtual_bench
+from station.lab.virtual_bench import virtual_bench, warm_up_control
 
 #: Longest time to wait until the devices are connected and the station is READY [s].
 CONNECT_TIMEOUT_S = 60.0
@@ -149,19 +149,16 @@ def warm_up() -> None:
     """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
 
     A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
-    the model of the robot and checks the motions of the experiment on it.
+    the model of the robot and checks the motions of the experiment on it. The second process begins with the code that
+    the first one does not need, so that it finds the model compiled.
     """
-    robot = load_robot("paper")
-    joints = np.array([0.0, 0.5 * math.pi, -0.1])
-    controller = ControllerFile().controller(robot)
+    robot, config, park = load_robot("paper"), LabConfig(), (0.0, 0.5 * math.pi, -0.1)
+    joints, zero, controller = np.array(park), np.zeros(3), ControllerFile().controller(robot)
+    virtual_bench(robot, config, 0, joints).lab.advance(0.0)
     rest = at_rest(joints, math.inf, len(robot.tubes))
-    estimate = controller.estimator.start(rest, rest, np.zeros(3), np.zeros(3))
-    bench = virtual_bench(robot, LabConfig(), 0, joints)
-    bench.lab.advance(0.0)
-    sensors = bench.devices.sensors
-    assert sensors is not None, "the default lab has force sensors"  # noqa: S101
-    sensors.connect(0.0)
-    bench.lab.advance(0.01)
-    sensors.poll(0.01)
-    zero, still = np.zeros(3), Setpoint(np.zeros(3), np.zeros(3))
-    command(controller.strategy, controller.feedback, controller.limits, joints, estimate, zero, still, zero, zero)
+    estimate = controller.estimator.start(rest, rest, zero, zero)
+    command(
+        controller.strategy, controller.feedback, controller.limits,
+        joints, estimate, zero, Setpoint(zero, zero), zero, zero,
+    )  # fmt: skip
+    warm_up_control(robot, config, 0, park, controller)
