@@ -42,6 +42,7 @@ class Channels:
         self._width = len(self.all)
         groups = [channel.name.rsplit(".", 1)[0] for channel in self.all]
         self._at = {name: slice(groups.index(name), groups.index(name) + groups.count(name)) for name in groups}
+        self._target = slice(self._at["target_new"].start, self._at["target_new"].start + TARGET_WIDTH)
 
     def __len__(self) -> int:
         return len(self.all)
@@ -86,27 +87,44 @@ class Channels:
         true_tip, true_force, _, true_direction = truth or _NO_TRUTH
         new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
         stages, tracker, sensors = troubles
-        setpoint = _NO_REQUEST if request is None or request.setpoint is None else request.setpoint
-        kind = 0 if setpoint is _NO_REQUEST else 1 if setpoint.position is not None else 2
-        position = memory.origin + setpoint.position if setpoint.position is not None else _ZERO
-        stiffness = tick.setpoint.stiffness
-        row = np.empty(self._width)
+        row = np.zeros(self._width)
         _fill(
             row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
             true_tip, true_force,
             joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
             memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
             tick.u_int, tick.sigma, tick.at_bound, now.numbers,
-            kind, setpoint.time, position, setpoint.velocity,
-            *(_NO_DIRECTIONS if memory.direction is None else _directions(tick, memory.direction)),
-            _ZERO if true_direction is None else true_direction, _NO_TARGET if target is None else target,
-            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance,
-            contact_start, _ZERO if stiffness is None else np.array(stiffness.axes),
+            _ZERO if true_direction is None else true_direction,
+            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance, contact_start,
         )  # fmt: skip
+        if request is not None and request.setpoint is not None:
+            self._add_request(row, request.setpoint, memory.origin)
+        if memory.direction is not None:
+            self._add_directions(row, tick, memory.direction)
+        if target is not None:
+            row[self._target] = target
+        if tick.setpoint.stiffness is not None:
+            self.of(row, "stiffness")[:] = tick.setpoint.stiffness.axes
         if sensors == ABSENT and memory.deflection is not None:
             self.of(row, "force_filtered")[:] = memory.deflection.force
             self.of(row, "force_variance")[:] = memory.deflection.covariance[[0, 3, 5]]
         return row
+
+    def _add_request(self, row: Array, request: SetpointRequest, origin: Array) -> None:
+        """Write the setpoint request of a streaming client to a row; `origin` (3,) is the origin of setpoints [m]."""
+        self.of(row, "request_kind")[:] = 1.0 if request.position is not None else 2.0
+        self.of(row, "request_time")[:] = request.time
+        if request.position is not None:
+            self.of(row, "request")[:] = origin + request.position
+        self.of(row, "request_velocity")[:] = request.velocity
+
+    def _add_directions(self, row: Array, tick: Tick, known: DirectionEstimate) -> None:
+        """Write the measured, observed and desired direction of the tip to a row."""
+        desired = tick.setpoint.direction
+        if known.measured_once:
+            self.of(row, "direction_measured")[:] = known.measured
+        self.of(row, "direction_observed")[:] = known.observed
+        self.of(row, "direction_desired")[:] = known.origin if desired is None else desired
 
     def frozen_row(
         self,
@@ -131,19 +149,14 @@ class Channels:
         return row
 
 
-def _directions(tick: Tick, known: DirectionEstimate) -> tuple[Array, Array, Array]:
-    """Return the measured, observed and desired direction of the tip, each (3,); 0: unknown."""
-    desired = tick.setpoint.direction
-    return (
-        known.measured if known.measured_once else _ZERO, known.observed, known.origin if desired is None else desired
-    )  # fmt: skip
-
-
 _ZERO = np.zeros(3)
-_NO_REQUEST = SetpointRequest(None, np.zeros(3), 0.0, 0.0)
 _NO_TRUTH = GroundTruth(_ZERO, _ZERO)
-_NO_DIRECTIONS, _NO_TARGET = (_ZERO, _ZERO, _ZERO), np.zeros(14)
 _NO_DEFLECTION = np.zeros(3), np.zeros(6)
+
+
+#: Numbers of columns that only some rows have: of a setpoint request, of the measured, observed and desired direction,
+#: and of a target.
+REQUEST_WIDTH, DIRECTIONS_WIDTH, TARGET_WIDTH = 8, 9, 14
 
 
 @inlined
@@ -161,12 +174,13 @@ def _fill(
     positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
     tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
     u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    request_kind: int, request_time: float, request: Array, request_velocity: Array,
-    measured: Array, observed: Array, desired: Array, true_direction: Array, target: Array,
-    deflection_force: Array, deflection_covariance: Array, clearance: float,
-    contact_start: float, stiffness: Array,
+    true_direction: Array, deflection_force: Array, deflection_covariance: Array, clearance: float,
+    contact_start: float,
 ) -> None:  # fmt: skip
-    """Fill a row in the order of `_channels`; compiled, because numpy calls would take longer than the model."""
+    """Fill the channels that every row has, in the order of `_channels`; the other channels keep their values.
+
+    The function is compiled, because numpy calls would take longer than the model.
+    """
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
     row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
     row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[FRAME_USED], loaded[STABILITY]
@@ -191,16 +205,10 @@ def _fill(
     at = _put(row, at, known.tips[int(estimate[NEWEST_INDEX])] + known.bias)
     for i in range(known.vectors.shape[0]):
         at = _put(row, at, known.vectors[i])
-    row[at], row[at + 1] = request_kind, request_time
-    at = _put(row, at + 2, request)
-    at = _put(row, at, request_velocity)
-    for direction in (measured, observed, desired, true_direction):
-        at = _put(row, at, direction)
-    at = _put(row, at, target)
-    at = _put(row, at, deflection_force)
+    at = _put(row, at + REQUEST_WIDTH + DIRECTIONS_WIDTH, true_direction)
+    at = _put(row, at + TARGET_WIDTH, deflection_force)
     at = _put(row, at, deflection_covariance)
     row[at], row[at + 1] = clearance, contact_start
-    _put(row, at + 2, stiffness)
 
 
 def _channels(robot: Robot) -> list[Channel]:
