@@ -110,11 +110,12 @@ def command(
 
     """
     n = joints.size
-    rows, room = no_rows(n), NO_BOUNDS
-    context = _CurrentConfiguration(joints, now, force, near)
+    rows, room, retreating = no_rows(n), NO_BOUNDS, None
     if limits.others:
+        context = _CurrentConfiguration(joints, now, force, near)
         rows, room = limits.rows(context)
-    retreating = retreat(limits, context, rows, room)
+        if near is not None:
+            retreating = retreat(limits, context, rows, room)
     if strategy.laws is None:
         u_int, task = _custom_loops(strategy, feedback, now, setpoint, tip, origin, drift)
         velocity, *found = inverse_after_retreat(limits, joints, task, rows, room, retreating)

@@ -327,17 +327,10 @@ def estimate(
 _NO_LOAD = np.zeros(6)
 
 
-class Perception(NamedTuple):
-    """Load and estimate computed from one sample of the devices."""
-
-    load: FusedLoad
-    estimate: Estimate
-
-
 def perceive(
     statics: Statics, estimator: Estimator, last: Estimate,
     joints: Array, wrenches: Array, zeros: Array, sent: Array, tip: Array | None, age: float,
-) -> Perception:  # fmt: skip
+) -> tuple[FusedLoad, Estimate]:  # fmt: skip
     """Return load and estimate of one tick from the devices' readings.
 
     Args:
@@ -373,7 +366,7 @@ def perceive(
             estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
             force, sent, frame, age, numbers,
         )  # fmt: skip
-    return Perception(load, now)
+    return load, now
 
 
 @compiled

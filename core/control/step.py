@@ -167,6 +167,11 @@ class Controller:
         return self.estimator.filter.period
 
     @cached_property
+    def no_zeros(self) -> Array:
+        """Zeros (q, 6) of sensors whose drift since the tare is not estimated: none [N, N m]."""
+        return np.zeros((len(self.statics.robot.tubes), 6))
+
+    @cached_property
     def feedback(self) -> FeedbackOptions:
         """Measurements and estimates that the loops use as feedback."""
         lead_time = self.estimator.actuation.lead_time if self.observes else 0.0
@@ -289,10 +294,10 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     limits, last = controller.limits, memory.estimate
     if controller.corrections is not None:
         sample = _corrected(controller, sample, last.loaded.rotation)
-    wrenches, zeros = sample.wrenches, memory.zeros
+    zeros = memory.zeros
     load, now = perceive(
         controller.statics, controller.estimator, last,
-        sample.joints, wrenches, np.zeros_like(wrenches) if zeros is None else zeros.values,
+        sample.joints, sample.wrenches, controller.no_zeros if zeros is None else zeros.values,
         sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
     if zeros is not None and sample.tip is not None:
@@ -330,9 +335,9 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
             order, followed, offset = _yielding(controller, stiffness, memory, now, force, tip, order)
         if order.press is not None:
             order, followed, contact = _pressing(controller, memory, now, force, tip, order.press, followed)
-        tasks, null_space = list(controller.tasks), None
+        tasks, null_space = controller.tasks, None
         if direction is not None and controller.aim.lever > 0.0:
-            tasks.append(DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
+            tasks = (*tasks, DirectionTask(controller.aim.lever, direction, order.direction, order.turning))
         if controller.null_space is not None:
             slope = controller.null_space.updated_gradient(controller.statics, limits, now.loaded, slope)
             null_space = controller.null_space.objective(
