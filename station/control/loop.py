@@ -32,7 +32,7 @@ from station.control.monitors import (
     device_faults,
     not_finite,
 )
-from station.control.states import LATCHED, RefusedError, State, StopReasons, Transition, next_state
+from station.control.states import AUTO_STATES, LATCHED, RefusedError, State, StopReasons, Transition, next_state
 from station.control.task import (
     AVERAGE_S,
     FREEZE_AFTER_S,
@@ -287,7 +287,8 @@ class ControlLoop:
             self._frame_at = now
         self._target.update(now, frame)
         fault = self._check_devices(now)
-        self._auto_transitions(now, stages.condition, fault)
+        if self.state in AUTO_STATES:
+            self._auto_transitions(now, stages.condition, fault)
         if not stages.ready:
             self._memory = None
             return self._frozen_row(now, joints, wrenches)

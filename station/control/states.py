@@ -23,6 +23,8 @@ class State(IntEnum):
 
 #: States that a person must reset.
 LATCHED = (State.HOLD, State.STOPPED, State.FAULT)
+#: States that end by themselves when devices, stages or controller become ready.
+AUTO_STATES = (State.CONNECTING, State.CONNECTED, State.HOMING, State.HOMED)
 
 
 class Transition(StrEnum):

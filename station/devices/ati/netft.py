@@ -264,7 +264,7 @@ class NetftSensors:
         ]
         for sensor in self._sensors:
             sensor.warm_up()
-        self._reading = WrenchReading(0.0, self._history.at(0.0))
+        self._reading = WrenchReading(0.0, self._history.at(0.0), usable=False)
         self._time = -math.inf  # time of the reading; never decreases
         self._started = False
 
@@ -276,10 +276,7 @@ class NetftSensors:
     @property
     def is_usable(self) -> bool:
         """Whether the last reading is valid for control."""
-        flags = 0
-        for sensor in self._sensors:
-            flags |= sensor.flags
-        return not flags & ~(_LATCHED | _GAP)
+        return self._reading.usable
 
     @property
     def counters(self) -> tuple[Counters, ...]:
@@ -315,7 +312,7 @@ class NetftSensors:
 
     def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
         """Return a HOLD with the box's status if a sensor has no valid sample."""
-        if self.is_usable:
+        if self._reading.usable:
             return None
         found = [
             f"force sensor {number} {next(text for flag, text in HAPPENED.items() if flag in quality)}"
@@ -342,7 +339,8 @@ class NetftSensors:
         Raises:
             LinkError: a port is gone.
         """
-        self._reading, self._time, self._started = self._reading._replace(time=now), -math.inf, True
+        self._reading = self._reading._replace(time=now, usable=False)
+        self._time, self._started = -math.inf, True
         for sensor in self._sensors:
             sensor.start(now)
 

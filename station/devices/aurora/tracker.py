@@ -90,7 +90,7 @@ class AuroraTracker:
     def trouble(self, now: float) -> DeviceFault | None:
         """Return a WARN after 0.1 s without a good position, and a HOLD after 0.25 s or if the port is lost."""
         if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost:
-            return self._target_trouble(now)
+            return self._target_trouble(now) if self._settings.target_serial else None
         report = self.report(now)
         severity = Severity.HOLD if self._lost or report.good_age > BLIND_TIMEOUT_S else Severity.WARN
         text = HAPPENED[report.quality] + ("" if math.isinf(report.good_age) else f" for {report.good_age:.2f} s")
@@ -100,9 +100,9 @@ class AuroraTracker:
         return DeviceFault(severity, text, f"{details}{report.trouble and ', '}{report.trouble}")
 
     def _target_trouble(self, now: float) -> DeviceFault | None:
-        """Return a warning if a target is configured and has no good position."""
+        """Return a warning if the configured target has no good position."""
         serial, age = self._settings.target_serial, now - self._target_time
-        if not serial or age <= SILENCE_TIMEOUT_S:
+        if age <= SILENCE_TIMEOUT_S:
             return None
         what = self._session.target_quality.name.lower().replace("_", " ")
         if self._session.dialogue.target is None:
