@@ -323,7 +323,9 @@ class ControlLoop:
             self._act_on(DeviceFault(Severity.HOLD, stalled) if stalled else None, now)
         if order is not None and self.state is State.RUNNING:
             stages.command(tick.command, now)
-        self._contact_start = contact_start(self._contact_start, now, tick)
+        self._contact_start = (
+            0.0 if tick.setpoint.press is None else contact_start(self._contact_start, now, tick.setpoint.press, tick)
+        )
         self._row = self.channels.row(
             now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, request,
             self._target.numbers(truth), self._contact_start,

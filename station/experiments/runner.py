@@ -85,7 +85,7 @@ def run_case(
                 now = tick * PERIOD_S
                 clock.wait_until(now)
                 row = loop.tick(now, lab.advance(now))
-                phase = loop.phase
+                run = loop.progress
                 if not started:
                     if loop.state is State.READY:
                         loop.start(MotionTask(case.controller, case.orders, case.file.duration, case.start))
@@ -96,16 +96,16 @@ def run_case(
                             or f"{loop.state.name} after {CONNECT_TIMEOUT_S:g} s: {_connect_problem(loop, now)}"
                         )
                         break
-                elif loop.progress is None:
+                elif run is None:
                     cause = with_details(loop.cause, loop.cause_details)
                     break
-                elif phase is Phase.SETTLING and motion_start == 0.0 and loop.progress is not None:
-                    motion_start = loop.progress.motion_start
+                elif run.phase is Phase.SETTLING and motion_start == 0.0:
+                    motion_start = run.motion_start
                     for group in ("time", "tip_time"):
                         loop.channels.of(later, group)[:] = motion_start
                     lab.apply_load(case.file.load, motion_start)
                     lab.inject(case.file.faults, motion_start)
-                elif phase is Phase.MOVING and row is not None:
+                elif run.phase is Phase.MOVING and row is not None:
                     if not kept:
                         counted = devices.stages.details()
                     if lab.trouble:

@@ -36,13 +36,13 @@ class LoadedPlant:
 
     def __init__(self, plant: Plant | FrictionalPlant) -> None:
         self._plant = plant
-        self._load: Load = NoLoad()
-        self._start = 0.0
         self._contact: TipContact | None = None
+        self.apply(NoLoad(), 0.0)
 
     def apply(self, load: Load, start: float) -> None:
         """Apply a load; its time counts from `start` [s]."""
         self._load, self._start = load, start
+        self._acts_at = load.contact  # arc length at which the force acts [m]; inf for the tip
         self._contact = TipContact(self._plant, load) if isinstance(load, Obstacle) else None
 
     def advance(self, joints: Array, now: float) -> PlantState:
@@ -54,7 +54,7 @@ class LoadedPlant:
         """
         if self._contact is not None:
             return self._contact.advance(joints, now - self._start, now)
-        return self._plant.advance(joints, force_of(self._load, now - self._start), self._load.contact, now)
+        return self._plant.advance(joints, force_of(self._load, now - self._start), self._acts_at, now)
 
 
 class TipContact:

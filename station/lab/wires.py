@@ -56,7 +56,7 @@ class HostPort:
     def read(self) -> bytes:
         """Return the received bytes."""
         self._check()
-        return _drain(self.device.to_host)
+        return _drain(self.device.to_host) if self.device.to_host else b""
 
     def write(self, data: bytes) -> None:
         """Send `data`."""
@@ -102,7 +102,7 @@ class SerialDeviceEnd:
 
     def read(self) -> bytes:
         """Return the bytes that the host has written."""
-        return _drain(self.to_device)
+        return _drain(self.to_device) if self.to_device else b""
 
     def write(self, data: bytes) -> None:
         """Send `data` to the host."""
@@ -128,8 +128,6 @@ def _fill(buffer: bytearray, data: bytes) -> None:
 
 
 def _drain(buffer: bytearray) -> bytes:
-    if not buffer:
-        return b""
     data = bytes(buffer)
     buffer.clear()
     return data

@@ -188,12 +188,11 @@ class _Sensor:
         stream, good, flags, newest, received = self.stream, self.good, 0, 0, False
         try:
             for datagram in self.link.receive():
-                numbers, clock = stream.state
-                taken, good.time = _kept(
-                    numbers, clock, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
+                newest_time = _kept(
+                    *stream.state, datagram, now, self._limits, good.row, good.rows, good.ends, good.time
                 )
-                if taken:
-                    self.status, self._last_usable, received = 0, now, True
+                if newest_time > -math.inf:
+                    good.time, self.status, self._last_usable, received = newest_time, 0, now, True
                     continue
                 counters = stream.counters
                 lost, resets = counters.lost, counters.resets
@@ -240,14 +239,14 @@ class _Sensor:
 def _kept(
     stream: Indices, clock: Array, datagram: bytes, now: float, limits: Array,
     row: Array, rows: Array, ends: Indices, time: float,
-) -> tuple[bool, float]:  # fmt: skip
-    """Store the sample of a normal datagram; return whether the datagram was normal, and the newest sample's time.
+) -> float:  # fmt: skip
+    """Store the sample of a normal datagram; return the newest sample's time [s].
 
-    Any other datagram must be passed to `Stream.feed`.
+    Return minus infinity for any other datagram, which must be passed to `Stream.feed`.
     """
     if not follow(stream, clock, datagram, now, limits, row):
-        return False, time
-    return True, push(rows, ends, row, time)
+        return -math.inf
+    return push(rows, ends, row, time)
 
 
 class NetftSensors:

@@ -59,7 +59,7 @@ class ZaberStages:
         self.complaints: list[str] = []  #: the last ten errors that units reported without a request
         self._line = line or LineSettings()
         self._scale = [SPEED_UNIT * setup.step for setup in setups]
-        self._sent: tuple[list[int], Array] = ([], np.zeros(0))  # speeds sent, in speed units and in SI units
+        self._sent = np.zeros(len(setups))  # velocities sent (n,) [rad/s or m/s]
         self._script: Script | None = None
         self._wait_until = -math.inf
         self._send_deferred = False
@@ -83,10 +83,7 @@ class ZaberStages:
             self._send(now)
         self._all_known = all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick
         positions = [zero + step * estimate.position for zero, step, estimate in self._counted]
-        sent = [chain.sent[axis] for chain, axis in self._units.where]
-        if sent != self._sent[0]:
-            self._sent = sent, np.array(self._scale) * sent
-        return JointReading(np.array(positions), self._sent[1])
+        return JointReading(np.array(positions), self._sent)
 
     def command(self, velocities: Array, now: float) -> None:
         """Set joint velocities (n,) [rad/s or m/s]; a non-finite one stops all axes. Does nothing unless `ready`."""
@@ -226,6 +223,7 @@ class ZaberStages:
             self._units.chains.append(chain)
             where |= {i: (chain, k) for k, i in enumerate(port.stages)}
         self._units.where = [where[i] for i in range(len(self.setups))]
+        self._update_sent()
         self._counted = [(s.position(0), s.step, self._units.estimate(i)) for i, s in enumerate(self.setups)]
 
     def _start_script(self, script: Script) -> None:
@@ -330,10 +328,15 @@ class ZaberStages:
                     on.command(axis, round(velocity / scale))
                 self._pending_velocities = []
             if data := chain.due(now):
+                self._update_sent()
                 try:
                     self._units.ports[which].link.write(data)
                 except LinkError as error:
                     self._break(which, error)
+
+    def _update_sent(self) -> None:
+        """Convert the speeds sent to the axes; only sent bytes change them, so most ticks need no conversion."""
+        self._sent = np.array(self._scale) * [chain.sent[axis] for chain, axis in self._units.where]
 
     def _break(self, which: int, error: LinkError) -> None:
         """Handle a lost link: all stages on it are lost."""
