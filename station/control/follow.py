@@ -51,11 +51,12 @@ class TargetTrack:
 
     def update(self, now: float, frame: TipReading | None) -> None:
         """Update the predictors of the target with the tracker's reading at `now` [s]."""
+        self._now, self._new = now, False
         target = None if frame is None else frame.target
         # Ignore a position of the target that is NaN or infinite.
-        self._now, self._new = now, target is not None and bool(np.isfinite(target).all())
-        if frame is None or target is None or not self._new:
+        if frame is None or target is None or not np.isfinite(target).all():
             return
+        self._new = True
         ongoing = self._known and 0.0 < frame.time - self._known[0].time < TARGET_FORGOTTEN_S
         self._known = [
             predictor.update(self._known[which], target, frame.time) if ongoing else predictor.start(target, frame.time)

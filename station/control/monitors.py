@@ -321,21 +321,16 @@ def device_faults(devices: Devices, now: float) -> tuple[tuple[int, int, int], D
     The severity is 0 without a fault, and `ABSENT` without the device. Of equal faults the first counts.
     """
     tracker, sensors = devices.tracker, devices.sensors
-    found = (
-        devices.stages.trouble(now),
-        None if tracker is None else tracker.trouble(now),
-        None if sensors is None else sensors.trouble(now),
-    )
-    worst = None
-    for fault in found:
-        if fault is not None and (worst is None or fault.severity > worst.severity):
-            worst = fault
-    if worst is None:
+    of_stages = devices.stages.trouble(now)
+    of_tracker = None if tracker is None else tracker.trouble(now)
+    of_sensors = None if sensors is None else sensors.trouble(now)
+    if of_stages is None and of_tracker is None and of_sensors is None:
         return devices.no_fault, None
+    found = of_stages, of_tracker, of_sensors
     first, second, third = (
         none if fault is None else int(fault.severity) for fault, none in zip(found, devices.no_fault, strict=True)
     )
-    return (first, second, third), worst
+    return (first, second, third), max(filter(None, found), key=lambda fault: fault.severity)
 
 
 def blocks_motion(trouble: DeviceFault | None) -> bool:

@@ -96,6 +96,9 @@ class Coil:
         # The noise of the direction has a separate random stream, so that the noise of the position does not change.
         self._wobble = None if config.direction_noise is None else rng.spawn(1)[0]
         self._noise: list[list[float]] = []  # noise of the following frames, that of the next frame last [m]
+        self._axis_noise: list[Array] = []  # noise of the axis in the following frames, that of the next frame last
+        # The configured latency ends when the reply has arrived, so a frame is available one reply earlier.
+        self._delay = max(0.0, config.latency - USUAL_REPLY_S)
         self._frames: deque[CoilView] = deque(maxlen=400)
         self._count, self._count_base = 0, 0
 
@@ -115,13 +118,10 @@ class Coil:
             position = (1e3 * local).tolist()
             beyond = max(max(low - x, x - high) for x, (low, high) in zip(position, VOLUME_MM, strict=True))
             axis = None if direction is None else self._mount.rotation.T @ self._noisy(direction)
-            # The configured latency ends when the reply has arrived, so the frame is available one reply earlier.
-            available = self.due + max(0.0, self._config.latency - USUAL_REPLY_S)
             frame = (self._count - self._count_base) & 0xFFFFFFFF
+            hidden = lost or beyond > VISIBLE_BEYOND_MM
             self._frames.append(
-                CoilView(
-                    frame, available, tuple(position), _without_roll(axis), beyond, lost or beyond > VISIBLE_BEYOND_MM
-                )
+                CoilView(frame, self.due + self._delay, tuple(position), _without_roll(axis), beyond, hidden)
             )
             self._count += 1
             self.due = self._count / self._config.rate
@@ -131,7 +131,9 @@ class Coil:
         noise = self._config.direction_noise
         if self._wobble is None or not noise:
             return direction
-        error = noise * self._wobble.standard_normal(3)
+        if not self._axis_noise:
+            self._axis_noise = list(noise * self._wobble.standard_normal((NOISE_BLOCK, 3)))[::-1]
+        error = self._axis_noise.pop()
         return direction + error - (error @ direction) * direction
 
     def restart_count(self) -> None:

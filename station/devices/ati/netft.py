@@ -353,10 +353,11 @@ class NetftSensors:
         for sensor in self._sensors:
             received |= sensor.poll(now)
             flags |= sensor.flags
-            if sensor.good.time == -math.inf:
+            newest = sensor.good.time
+            if newest == -math.inf:
                 complete = False
-            elif not sensor.flags & _STALE:
-                time = min(time, sensor.good.time)
+            elif newest < time and not sensor.flags & _STALE:
+                time = newest
         usable = not flags & ~(_LATCHED | _GAP)
         if complete and received and time < math.inf:
             self._time = time = max(self._time, time)

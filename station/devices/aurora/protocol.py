@@ -232,7 +232,10 @@ class FrameReply(NamedTuple):
 
     def tool(self, handle: int | None) -> ToolFrame | None:
         """Return the frame of the tool with this handle; None if the reply does not contain it."""
-        return next((tool for tool in self.tools if tool.handle == handle), None)
+        for tool in self.tools:
+            if tool.handle == handle:
+                return tool
+        return None
 
 
 def _transform(values: tuple[float, ...], handle: int) -> Transform:

@@ -146,6 +146,8 @@ class AuroraTracker:
                 self._carry_out(order)
         except LinkError as error:
             self._lost = str(error)
+        if not measurements:
+            return None
         newest = next((m for m in reversed(measurements) if m.position is not None), None)
         if newest is None or newest.position is None:
             return None

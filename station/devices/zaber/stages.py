@@ -64,7 +64,7 @@ class ZaberStages:
         self._wait_until = -math.inf
         self._send_deferred = False
         self._pending_velocities: list[float] = []  # velocities that wait for a free line [rad/s or m/s]
-        self._all_known = False  # whether the last poll knew every position
+        self._all_known = False  # whether at the last poll every stage was homed and had a known position
         self._use(ports)
 
     # The control loop's side
@@ -81,7 +81,7 @@ class ZaberStages:
             self._send_deferred = False  # `command` follows in the same tick with newer velocities, and sends them
         else:
             self._send(now)
-        self._all_known = all([estimate.known for _, _, estimate in self._counted])  # noqa: C419 - at every tick
+        self._all_known = all([estimate.known for _, _, estimate in self._counted]) and all(self.homed)  # noqa: C419
         positions = [zero + step * estimate.position for zero, step, estimate in self._counted]
         return JointReading(np.array(positions), self._sent)
 
@@ -111,7 +111,7 @@ class ZaberStages:
     @property
     def ready(self) -> bool:
         """Whether the stages are connected and homed, and every position is known."""
-        return self._all_known and self.condition is Condition.CONNECTED and all(self._units.homed)
+        return self._all_known and self.condition is Condition.CONNECTED
 
     @property
     def ports(self) -> tuple[PortSetup, ...]:
