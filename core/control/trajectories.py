@@ -104,9 +104,9 @@ class Directions:
         return first * math.cos(angle) + _cross(axis, first) * math.sin(angle), axis * rate
 
 
-def _setpoint(position: list[float], velocity: list[float]) -> Setpoint:
+def _setpoint(x: float, y: float, z: float, vx: float, vy: float, vz: float) -> Setpoint:
     """Return a setpoint from numbers: each operation on small arrays takes a microsecond."""
-    both = np.array(position + velocity)
+    both = np.array((x, y, z, vx, vy, vz))
     return Setpoint(both[:3], both[3:])
 
 
@@ -182,9 +182,9 @@ class Sinusoid:
 
     def setpoint(self, time: float) -> Setpoint:
         """Return amplitude * sin(2 pi f t) along the direction."""
-        axis, rate = self._axis, 2.0 * math.pi * self.frequency
+        (x, y, z), rate = self._axis, 2.0 * math.pi * self.frequency
         offset, speed = self.amplitude * math.sin(rate * time), self.amplitude * rate * math.cos(rate * time)
-        return _setpoint([x * offset for x in axis], [x * speed for x in axis])
+        return _setpoint(x * offset, y * offset, z * offset, x * speed, y * speed, z * speed)
 
 
 @dataclass(frozen=True)
@@ -211,8 +211,8 @@ class Circle:
         a, b = self.radius * (cos - 1.0), self.radius * sin
         c, d = self.radius * rate * cos, self.radius * rate * sin
         return _setpoint(
-            [first * a + second * b for first, second in self._plane],
-            [second * c - first * d for first, second in self._plane],
+            *[first * a + second * b for first, second in self._plane],
+            *[second * c - first * d for first, second in self._plane],
         )
 
 
