@@ -35,9 +35,9 @@ def retreat(limits: Limits, at: LimitContext, rows: Array, room: Array) -> Array
     speeds: list[Array] = []
     for limit in limits.others:
         if isinstance(limit, KeepOut):
-            own, signed, _ = limit.evaluated(at.backbone)
-            missed.append(own[signed < 0.0])
-            speeds.append(signed[signed < 0.0])
+            found = limit.evaluated(at.backbone)
+            missed.append(found.rows[found.room < 0.0])
+            speeds.append(found.room[found.room < 0.0])
     if not any(one.size for one in speeds):
         return None
     approach = np.maximum(np.concatenate(speeds), -MAX_RETREAT_M_S)

@@ -32,7 +32,7 @@ from core.robot.robot import Array
 #: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
 PARTS = ("first quarter", "second quarter", "third quarter", "last quarter", "end of an outer tube")
 #: Clearance beyond which a part of the tubes has only the row of its nearest point, which is one of the points [m].
-NEAR_M = 0.004
+NEAR_M = 0.002
 #: Distance from the nearest point at which the surface is probed, forward and back along each axis [m].
 PROBE_M = 0.002
 #: Distance of the two further points of the tubes from the nearest point, over the distance of the points.
@@ -57,12 +57,15 @@ class Clearance(NamedTuple):
     nearest: Array  #: (3,) nearest point of the region's surface [m]
 
 
-class _Evaluated(NamedTuple):
-    """Last result of `KeepOut.evaluated`."""
+class Evaluation(NamedTuple):
+    """A region's limit, evaluated for the tubes `near`."""
 
     near: Backbone
-    found: tuple[Array, Array, Array]
-    measured: Array  #: (m, 7) place, distance and direction of each point when it was measured last
+    rows: Array  #: (5 `ROWS`, n) rows of the limit
+    room: Array  #: (5 `ROWS`,) signed room; where it is negative, a retreat is necessary, with this speed [m/s]
+    parts: Array  #: (5, 7) clearance of each part [m], its nearest point [m], and the direction in which it grows
+    smallest: float  #: smallest clearance [m]
+    measured: Array  #: (m, 7) place of each point when it was measured last, and the region's distance and direction
 
 
 @built_in
@@ -79,38 +82,37 @@ class KeepOut:
 
     def rows(self, at: LimitContext) -> tuple[Array, Array]:
         """Return `ROWS` rows for each part of the tubes: the approach is at most the clearance over a time constant."""
-        rows, signed, _ = self.evaluated(at.backbone)
-        return rows, np.maximum(signed, 0.0)
+        found = self.evaluated(at.backbone)
+        return found.rows, np.maximum(found.room, 0.0)
 
     def smallest_distance(self, near: Backbone) -> float:
         """Return the distance of `clearance` [m]."""
-        return float(self.evaluated(near)[2][:, 0].min())
+        return self.evaluated(near).smallest
 
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
-        parts = self.evaluated(near)[2]
+        parts = self.evaluated(near).parts
         best = parts[int(parts[:, 0].argmin())]
         point, direction = best[1:4].copy(), best[4:].copy()
         away = abs(self.region.distance(point)[0])
         return Clearance(float(best[0]), point, direction, point - away * direction)
 
-    def evaluated(self, near: Backbone) -> tuple[Array, Array, Array]:
-        """Return rows (5 `ROWS`, n), signed room, and clearance, nearest point and direction of each part (5, 7).
-
-        Where the room is negative, a retreat is necessary, with this speed [m/s].
-        """
-        last: _Evaluated | None = self.__dict__.get("_last")  # a tick evaluates a limit three times
+    def evaluated(self, near: Backbone) -> Evaluation:
+        """Return rows, room and clearances of tubes along `near`."""
+        last: Evaluation | None = self.__dict__.get("_last")  # a tick evaluates a limit three times
         if last is not None and last.near is near:
-            return last.found
+            return last
         m, points = len(PARTS) * ROWS, near.points
-        found = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.zeros((len(PARTS), 7))
+        arrays = np.zeros((m, near.jacobian.shape[2])), np.empty(m), np.zeros((len(PARTS), 7))
         if last is not None and len(last.measured) == len(points):
             measured = last.measured.copy()  # another thread may read it
         else:
             measured = np.full((len(points), 7), -np.inf)
-        _rows(self.region.packed, *self.region.mesh, *near, measured, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *found)
-        self.__dict__["_last"] = _Evaluated(near, found, measured)
-        return found
+        smallest = _rows(
+            self.region.packed, *self.region.mesh, *near, measured, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *arrays
+        )
+        self.__dict__["_last"] = new = Evaluation(near, *arrays, smallest, measured)
+        return new
 
     def check(self, at: LimitContext) -> None:
         """Raise PoseError where the tubes are nearer to the region than its margin."""
@@ -144,11 +146,10 @@ def _rows(
     region: Array, triangles: Array, normals: Array, spheres: Array, boxes: Array, contents: NDArray[np.int64],
     points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, measured: Array,
     braking: float, retreat: float, rows: Array, room: Array, nearest: Array,
-) -> None:  # fmt: skip
-    """Compute rows, signed room, and for each part the clearance, the nearest point and the direction of growth.
+) -> float:  # fmt: skip
+    """Compute the arrays of an `Evaluation`, and return the smallest clearance.
 
-    `measured` (m, 7) has for each point the place where it was measured last, and the region's distance and direction
-    there; it is updated.
+    `measured` is that of the last evaluation on entry; its distances that may still be the smallest are renewed.
     """
     surface = Mesh(triangles, normals, spheres, boxes, contents)
     sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
@@ -204,6 +205,7 @@ def _rows(
             _between(drift, at, place, vector)
             pushed = min(_product(normal, vector), 0.0)  # a load that pulls away may end at any time
             room[row] = left / (braking if left > 0.0 else retreat) + pushed
+    return nearest[:, 0].min()
 
 
 @compiled
