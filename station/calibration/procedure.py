@@ -13,7 +13,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from core.calibration.measurements import Measurement
-from core.control.step import Controller
+from core.control.controller_settings import Controller
 from core.control.trajectories import JointMotion
 from core.errors import CtrError
 from core.model.batch import solve_many

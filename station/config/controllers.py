@@ -6,11 +6,11 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field
 
+from core.control.controller_settings import Controller
 from core.control.controllers import strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.null_space import NullSpaceObjective
 from core.control.observer import Observer, RateFilter
-from core.control.step import Controller
 from core.control.stiffness import StiffnessFrame, TipStiffness
 from core.control.tip_direction import DEFAULT_LEVER_M, task_selection
 from core.control.tip_force import LoadEstimator

@@ -8,11 +8,11 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from core.control.controller_settings import Controller
 from core.control.controllers import TYPE_2
 from core.control.force_control import Press, without_component
 from core.control.palpation import Palpation
 from core.control.reachability import check_pose, check_reach
-from core.control.step import Controller
 from core.control.trajectories import (
     Circle,
     Directions,

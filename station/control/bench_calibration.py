@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 
 from core.calibration.rigid_transform import rotation_from_vector, vector_from_rotation
+from core.control.controller_settings import Controller
 from core.control.deflection_force import CALIBRATED_TUBE_ERROR
 from core.control.sensors import Corrections, Sensors
-from core.control.step import Controller
 from core.control.tip_force import CALIBRATED_GAIN
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile, load_robot

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from core.contract import name_of, numbers
+from core.control.controller_settings import Controller
 from core.control.controllers import LoopInputs, Strategy, VelocityTask
-from core.control.step import Controller
 from core.control.trajectories import Setpoint
 from core.errors import ContractError, CtrError
 from core.robot.robot import Array

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from core.control.controller_settings import Controller
 from core.control.predictor import NewestFrame, Predictor, PredictorState, TargetState, Waves
 from core.control.setpoint_request import MotionBounds
-from core.control.step import Controller
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array
 from station.config.motions import FollowMotion

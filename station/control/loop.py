@@ -8,15 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from core.control.step import (
-    Controller,
-    ControllerState,
-    Sample,
-    restart_setpoints_here,
-    set_origin,
-    start_controller,
-    step,
-)
+from core.control.controller_settings import Controller
+from core.control.step import ControllerState, Sample, restart_setpoints_here, set_origin, start_controller, step
 from core.control.stiffness import StiffnessRamp
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
@@ -464,7 +457,7 @@ class ControlLoop:
     def _tip(self, frame: TipReading | None) -> Array | None:
         if frame is None or self._memory is None:
             return None
-        return self.controller.tip(frame.position, self._memory)
+        return self.controller.tip(frame.position, self._memory.estimate.loaded.rotation)
 
     def _finish(self, now: float) -> None:
         self.devices.stages.stop(now)

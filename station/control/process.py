@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 
-from core.control.step import Controller
+from core.control.controller_settings import Controller
 from core.errors import CtrError
 from station.config.controllers import PERIOD_S
 from station.config.robots import RobotFile

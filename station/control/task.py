@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from core.control.controller_settings import Controller
 from core.control.force_control import Press
 from core.control.setpoint_request import (
     DEFAULT_MOTION_BOUNDS,
@@ -18,7 +19,6 @@ from core.control.setpoint_request import (
     SetpointRequest,
     StreamedTip,
 )
-from core.control.step import Controller
 from core.control.trajectories import JointMotion, Setpoint, rotated
 from core.robot.robot import Array
 from station.config.motions import FollowMotion, Orders

@@ -12,9 +12,9 @@ from typing import Annotated, Any, NamedTuple, cast
 
 from pydantic import Field
 
+from core.control.controller_settings import Controller
 from core.control.controllers import PositionMode
 from core.control.reachability import check_pose
-from core.control.step import Controller
 from core.errors import CtrError, PoseError, Unreachable
 from core.robot.robot import Array
 from station.config.controllers import ControllerFile

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from core.control.controller_settings import Controller
 from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, StreamedTip
-from core.control.step import Controller, Sample, start_controller, step
+from core.control.step import Sample, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.robot.robot import Array, Robot
 from station.config.controllers import PERIOD_S

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
+from core.control.controller_settings import Controller
 from core.control.force_control import OVERSHOOT, Press
 from core.control.reachability import SolvedConfiguration, check_pose
-from core.control.step import Controller
 from core.errors import CtrError, DescriptionError, PoseError
 from core.model.statics import Solution, Statics
 from core.robot.limits import Limits

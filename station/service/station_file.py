@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from core.control.controller_settings import Controller
 from core.control.force_control import OVERSHOOT
 from core.control.reachability import check_pose
-from core.control.step import Controller
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.limits import Limits

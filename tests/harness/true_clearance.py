@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.step import Controller
+from core.control.controller_settings import Controller
 from core.control.velocity_ik import inverse_at
 from core.model.backbone import backbone
 from core.model.solution import pure_force

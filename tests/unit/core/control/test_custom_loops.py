@@ -10,8 +10,9 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from core.control.controller_settings import Controller
 from core.control.controllers import STRATEGIES, PositionMode, Strategy, TaskInputs, VelocityTask, strategy, type_2
-from core.control.step import Controller, ControllerState, Sample, start_controller, step
+from core.control.step import ControllerState, Sample, start_controller, step
 from core.control.trajectories import Setpoint
 from core.errors import ContractError, CtrError, DescriptionError, NotFinite
 from core.robot.limits import Configuration, Limits, Workspace

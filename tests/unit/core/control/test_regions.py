@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from core.control.controller_settings import Controller
 from core.control.reachability import SolvedConfiguration
 from core.control.retreat import inverse_after_retreat, retreat, within_acceleration
-from core.control.step import Controller, Sample, Tick, start_controller, step
+from core.control.step import Sample, Tick, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import VelocityTask
 from core.robot.keep_out import RESERVE_M, KeepOut

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from core.control.controller_settings import Controller
 from core.control.controllers import strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.observer import Observer, RateFilter
 from core.control.sensors import Corrections, FusedLoad, Sensors, closure, fuse
-from core.control.step import Controller, Sample, start_controller, step
+from core.control.step import Sample, start_controller, step
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.control.controller_settings import Controller
 from core.control.controllers import INNER_LOOPS, Strategy, strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.observer import Observer, RateFilter
-from core.control.step import Controller, Sample, set_origin, start_controller, step
+from core.control.step import Sample, set_origin, start_controller, step
 from core.control.stiffness import TipStiffness
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError, DescriptionError, NotFinite

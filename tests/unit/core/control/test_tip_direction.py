@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.control.controller_settings import Controller
 from core.control.controllers import Strategy, VelocityMode, strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.observer import Observer, RateFilter
-from core.control.step import Controller, Sample, restart_setpoints_here, set_origin, start_controller, step
+from core.control.step import Sample, restart_setpoints_here, set_origin, start_controller, step
 from core.control.tip_direction import POSITION_ONLY, TASKS, TaskSelection, shortest_rotation, task_rows, task_selection
 from core.control.trajectories import Setpoint
 from core.errors import DescriptionError

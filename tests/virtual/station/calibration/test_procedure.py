@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.control.controller_settings import Controller
 from core.control.sensors import Corrections, Sensors
-from core.control.step import Controller
 from station.calibration.procedure import AbortedError, GoToPose, SwingMotion, measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.loads import ConstantLoad
