@@ -8,7 +8,7 @@ import numpy as np
 
 from core.control.controllers import FeedbackOptions, Strategy, Task, TaskInputs, custom_rows
 from core.control.deflection_force import TUBE_ERROR
-from core.control.estimation import Estimator
+from core.control.estimation import NO_LOAD, Estimator
 from core.control.null_space import Kinks, NullSpaceObjective, kinks_of
 from core.control.sensors import Corrections
 from core.control.shape_correction import FORCE_ERROR_N, UNKNOWN_FORCE_N, Cause, error_causes
@@ -19,9 +19,6 @@ from core.model.statics import Statics
 from core.robot.keep_out import KeepOut
 from core.robot.limits import Limits
 from core.robot.robot import Array
-
-#: Load of an unloaded pose: none [N, N m].
-NO_LOAD = np.zeros(6)
 
 
 @dataclass(frozen=True)

@@ -324,7 +324,8 @@ def estimate(
         new.tip_ahead[i] += new.bias[i] + lead_time * new.drift[i]
 
 
-_NO_LOAD = np.zeros(6)
+#: Load of an unloaded pose: none [N, N m].
+NO_LOAD = np.zeros(6)
 
 
 def perceive(
@@ -361,7 +362,7 @@ def perceive(
         # The warm start did not converge: `Statics.solve` follows the branch in smaller steps, or starts from rest.
         force = now.known.load[FORCE]
         now.loaded = statics.solve(joints, pure_force(force), last.loaded)
-        now.unloaded = statics.solve(joints, _NO_LOAD, last.unloaded)
+        now.unloaded = statics.solve(joints, NO_LOAD, last.unloaded)
         estimate(
             estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
             force, sent, frame, age, numbers,

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from core.control.command import OBSERVER_DRIFT, command, joint_command
-from core.control.controller_settings import NO_LOAD, Controller
+from core.control.controller_settings import Controller
 from core.control.deflection_force import DeflectionForce, start_deflection, update_deflection
-from core.control.estimation import FRAME_USED, Estimate, perceive
+from core.control.estimation import FRAME_USED, NO_LOAD, Estimate, perceive
 from core.control.force_control import (
     NO_CONTACT,
     Contact,

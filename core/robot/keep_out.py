@@ -42,7 +42,7 @@ PROBES = 6
 ROWS = 1 + PROBES + 2
 #: Distance by which the clearance may be missed, because the limit lets the tubes come close to the margin [m].
 TOLERANCE_M = 1e-4
-#: Clearance at which the tubes stop [m]; the noise of the observed tip changes the clearance by about as much.
+#: Clearance at which the tubes stop [m]; noise of the tracker and errors of the model change the clearance by as much.
 RESERVE_M = 1.5e-4
 #: Time constant of a retreat [s], twice the delay of the stages.
 RETREAT_TIME_S = 0.15
@@ -145,18 +145,18 @@ def region_at(limits: Sequence[object], point: Array) -> str | None:
 def _rows(
     region: Array, triangles: Array, normals: Array, spheres: Array, boxes: Array, contents: NDArray[np.int64],
     points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, measured: Array,
-    braking: float, retreat: float, rows: Array, room: Array, nearest: Array,
+    braking: float, retreat: float, rows: Array, room: Array, parts: Array,
 ) -> float:  # fmt: skip
     """Compute the arrays of an `Evaluation`, and return the smallest clearance.
 
     `measured` is that of the last evaluation on entry; its distances that may still be the smallest are renewed.
     """
     surface = Mesh(triangles, normals, spheres, boxes, contents)
-    sign, margin, quarters = region[1], region[2], nearest.shape[0] - 1
+    sign, margin, quarters = region[1], region[2], parts.shape[0] - 1
     convex = region[0] != MESH and sign > 0.0
     point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    room[:], nearest[:, 0] = 1.0 / braking, np.inf
-    for part in range(nearest.shape[0]):
+    room[:], parts[:, 0] = 1.0 / braking, np.inf
+    for part in range(parts.shape[0]):
         first, last = part * (along - 1) // quarters, (part + 1) * (along - 1) // quarters
         if part == quarters:
             first, last = along, points.shape[0] - 1
@@ -172,9 +172,9 @@ def _rows(
         else:
             _between(points, at, share, point)
         best -= margin
-        nearest[part, 0] = best
+        parts[part, 0] = best
         for k in range(3):
-            nearest[part, 1 + k], nearest[part, 4 + k] = point[k], sign * normal[k]
+            parts[part, 1 + k], parts[part, 4 + k] = point[k], sign * normal[k]
         for number in range(ROWS if best < NEAR_M else 1):
             if convex and 0 < number <= PROBES:
                 continue  # its tangent planes lie in front of the surface
@@ -205,7 +205,7 @@ def _rows(
             _between(drift, at, place, vector)
             pushed = min(_product(normal, vector), 0.0)  # a load that pulls away may end at any time
             room[row] = left / (braking if left > 0.0 else retreat) + pushed
-    return nearest[:, 0].min()
+    return parts[:, 0].min()
 
 
 @compiled
@@ -230,8 +230,9 @@ def _nearest_index(
             break
         measured[at, :3] = points[at]
         measured[at, 3] = region[1] * signed_distance(region, surface, points[at], measured[at, 4:])
-    for k in range(3 if at >= 0 else 0):
-        normal[k] = measured[at, 4 + k]
+    if at >= 0:
+        for k in range(3):
+            normal[k] = measured[at, 4 + k]
     return at, best
 
 

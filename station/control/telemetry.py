@@ -179,8 +179,8 @@ def _fill(
 ) -> None:  # fmt: skip
     """Fill the channels that every row has, in the order of `_channels`; the other channels keep their values.
 
-    The function is compiled, because numpy calls would take longer than the model. To inline `_put` would add three
-    seconds of compilation.
+    The function is compiled, because numpy calls would take longer than the model. `_put` is not inlined:
+    inlined, it made this function take a tenth of the time of all compilations.
     """
     shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
     row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
