@@ -12,15 +12,23 @@ from functools import cached_property
 
 import numpy as np
 
-from core.control.retreat import inverse_after_retreat, retreat
-from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation, task_rows
+from core.compiled import compiled, merged
+from core.control.retreat import retreat, room_after
+from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation_law
 from core.control.trajectories import Directions, Trajectory
-from core.control.velocity_ik import NO_BOUNDS, SIGMA_FLOOR_M_S, VelocityTask, no_rows
+from core.control.velocity_ik import (
+    NO_BOUNDS,
+    SIGMA_FLOOR_M_S,
+    Inverse,
+    inverse,
+    no_rows,
+)
 from core.errors import Cancelled, CtrError, PoseError, Unreachable
 from core.model.backbone import ExpectedMotion, backbone
+from core.model.solution import fields
 from core.model.statics import Solution, Statics
 from core.robot.keep_out import KeepOut
-from core.robot.limits import Backbone, Limits
+from core.robot.limits import Backbone, Limits, velocity_bounds
 from core.robot.robot import Array
 
 #: Largest distance by which the simulated tip may fall behind its path [m].
@@ -173,74 +181,142 @@ class _Walk:
         force: Callable[[float], Array] | None,
         aim: TaskSelection,
     ) -> None:
-        self._statics, self._limits, self._force, self._aim = statics, limits, force, aim
-        self._reasons: tuple[str, ...] = ()
-        self._left = np.zeros(aim.rows)  # error after the last step: position [m], then angle times lever [m]
+        self._statics, self._limits, self._force = statics, limits, force
+        self._position, self._lever, self._standing = aim.position, aim.lever, np.zeros(joints.size)
+        self._regions = tuple(limit for limit in limits.others if isinstance(limit, KeepOut))
+        self._rows = aim.rows
+        self._last: tuple[Array, Inverse] | None = None  # joint positions before the last step, and its velocity
+        self._left = (0.0, 0.0)  # remaining distance [m], and remaining angle times lever [m]
         self.at: Solution = statics.solve(joints, self._wrench(-CHECK_INTERVAL_S))
 
     def step(self, target: Array, time: float, length: float, pointing: Array) -> float:
         """Move for `length` [s] toward a target (3,) [m] and direction (3,); return the distance that remains [m]."""
-        at, limits = self.at, self._limits
+        at, limits, n = self.at, self._limits, self._standing.size
         wrench = self._wrench(time)
-        rows, room, retreating = no_rows(at.joints.size), NO_BOUNDS, None
+        rows, room, retreating = no_rows(n), NO_BOUNDS, None
         if limits.others:
-            expected = ExpectedMotion(
-                np.zeros(at.joints.size), (wrench[:3] - at.wrench[:3]) / length, np.zeros(3), lead_time=0.0
-            )
+            expected = ExpectedMotion(self._standing, (wrench[:3] - at.wrench[:3]) / length, np.zeros(3), lead_time=0.0)
             context = SolvedConfiguration(self._statics, at, expected=expected)
             rows, room = limits.rows(context)
             retreating = retreat(limits, context, rows, room)
-        # The joints must also compensate the motion that the load causes in this step.
-        moved = at.compliance[:, :3] @ (wrench[:3] - at.wrench[:3])
-        desired = task_rows(self._aim, (self._miss(target, pointing) - moved)[:, None] / length, at.rotation)[:, 0]
-        jacobian = task_rows(self._aim, at.jacobian, at.rotation)
-        task = VelocityTask(jacobian, desired)
-        velocity, sigma, *active = inverse_after_retreat(limits, at.joints, task, rows, room, retreating)
-        self._reasons = limits.active(at.joints, *active)
-        if sigma[-1] < NEAR_SINGULAR_M_S:
-            self._reasons = (f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)", *self._reasons)
+        if retreating is None:
+            retreating = self._standing
+        else:
+            room = room_after(retreating, rows, room)
+        jacobian, desired, bounds = np.zeros((self._rows, n)), np.zeros(self._rows), np.empty((2, n))
+        _remaining_task(
+            at.numbers, limits.packed, wrench, target, pointing, self._position, self._lever, length, retreating,
+            jacobian, desired, bounds,
+        )  # fmt: skip
+        found = inverse(jacobian, desired, limits.speed, bounds[0], bounds[1], rows, room)
+        self._last = at.joints, found
         try:
-            self.at = self._statics.solve(at.joints + length * velocity, wrench, at)
+            self.at = self._statics.solve(at.joints + length * (retreating + found.velocity), wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
-        self._check_regions(time)
-        self._left = task_rows(self._aim, self._miss(target, pointing)[:, None], self.at.rotation)[:, 0]
-        return float(np.linalg.norm(self._left))
+        if self._regions:
+            self._check_regions(time)
+        self._left = _remaining(self.at.numbers, target, pointing, self._position, self._lever)
+        return math.hypot(*self._left)
 
     def _check_regions(self, time: float) -> None:
         """Reject a pose at which a load has pushed the tubes into a region, which the limits of velocities allow."""
         context = SolvedConfiguration(self._statics, self.at)
-        for limit in self._limits.others:
-            if isinstance(limit, KeepOut):
-                try:
-                    limit.check(context)
-                except PoseError as error:
-                    raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
-
-    def _miss(self, target: Array, pointing: Array) -> Array:
-        """Return the displacement [m] and rotation [rad] (6,) from the tip to the target."""
-        return np.concatenate((target - self.at.tip, shortest_rotation(self.at.rotation[:, 2], pointing)))
+        for region in self._regions:
+            try:
+                region.check(context)
+            except PoseError as error:
+                raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
 
     @property
     def error(self) -> str:
         """Text: how far the tip is from its path after the last step, in the controlled coordinates."""
-        aim, split = self._aim, 3 if self._aim.position > 0.0 else 0
-        position, angle = float(np.linalg.norm(self._left[:split])), float(np.linalg.norm(self._left[split:]))
+        (position, angle), lever = self._left, self._lever
         parts: list[str] = []
-        if split and (not aim.lever or position >= MAX_LAG_M or position >= angle):
+        if self._position and (not lever or position >= MAX_LAG_M or position >= angle):
             parts.append(f"be {1e3 * position:.2g} mm off (more than {1e3 * MAX_LAG_M:g} mm)")
-        if aim.lever and (not split or angle >= MAX_LAG_M or angle > position):
-            deviation, largest = (math.degrees(part / aim.lever) for part in (angle, MAX_LAG_M))
+        if lever and (not self._position or angle >= MAX_LAG_M or angle > position):
+            deviation, largest = (math.degrees(part / lever) for part in (angle, MAX_LAG_M))
             parts.append(f"point {deviation:.2g} deg off (more than {largest:.2g} deg)")
         return " and ".join(parts)
 
     @property
     def reasons(self) -> str:
         """Text: the limits that were active in the last step."""
-        return ", ".join(self._reasons) or "more than the joints can do at once"
+        names: list[str] = []
+        if self._last is not None:
+            joints, (_, sigma, *active) = self._last
+            if sigma[-1] < NEAR_SINGULAR_M_S:
+                names.append(f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)")
+            names += self._limits.active(joints, *active)
+        return ", ".join(names) or "more than the joints can do at once"
 
     def _wrench(self, time: float) -> Array:
         wrench = np.zeros(6)
         if self._force is not None:
             wrench[:3] = self._force(time)
         return wrench
+
+
+@compiled
+def _remaining_task(
+    numbers: Array, limits: Array, wrench: Array, target: Array, pointing: Array, position: float, lever: float,
+    length: float, retreating: Array, jacobian: Array, desired: Array, bounds: Array,
+) -> None:  # fmt: skip
+    """Write the equations and bounds for the joint velocities of a step that remain after a retreat.
+
+    Args:
+        numbers: numbers of the solution before the step.
+        limits: `Limits.packed`.
+        wrench, target, pointing: load (6,), position (3,) [m] and direction (3,) of the tip after the step.
+        position, lever: weights of the task, see `TaskSelection`.
+        length: duration of the step [s].
+        retreating: joint velocities (n,) of the retreat [rad/s or m/s].
+        jacobian, desired: in, zeros; out, the equations of a `VelocityTask`.
+        bounds: out, lowest and highest velocities (2, n) [rad/s or m/s].
+
+    """
+    at = fields(numbers)
+    n, split = at.joints.shape[0], 3 if position > 0.0 else 0
+    lowest, highest = velocity_bounds(at.joints, limits)
+    moved, turned = np.empty(3), shortest_rotation_law(_axis(at.rotation), pointing)
+    for i in range(3):
+        # The joints must also compensate the motion that the load causes in this step.
+        moved[i] = target[i] - at.tip[i]
+        for j in range(6):
+            moved[i] -= at.compliance[i, j] * (wrench[j] - at.wrench[j])
+            turned[i] -= at.compliance[3 + i, j] * (wrench[j] - at.wrench[j])
+    for k in range(desired.shape[0]):
+        for i in range(3):
+            if k < split:
+                weight, row, change = position if i == k else 0.0, i, moved[i]
+            else:
+                weight, row, change = lever * at.rotation[i, k - split], 3 + i, turned[i]
+            desired[k] += weight * change / length
+            for j in range(n):
+                jacobian[k, j] += weight * at.jacobian[row, j]
+        for j in range(n):
+            desired[k] -= jacobian[k, j] * retreating[j]
+    for j in range(n):
+        bounds[0, j], bounds[1, j] = lowest[j] - retreating[j], highest[j] - retreating[j]
+
+
+@compiled
+def _remaining(numbers: Array, target: Array, pointing: Array, position: float, lever: float) -> tuple[float, float]:
+    """Return the weighted distance from the tip to the target [m], and the angle times `lever` [m]."""
+    at = fields(numbers)
+    distance, angle, turn = 0.0, 0.0, shortest_rotation_law(_axis(at.rotation), pointing)
+    for i in range(3):
+        distance += (target[i] - at.tip[i]) ** 2
+    for k in range(2):
+        component = 0.0
+        for i in range(3):
+            component += at.rotation[i, k] * turn[i]
+        angle += component * component
+    return position * np.sqrt(distance), lever * np.sqrt(angle)
+
+
+@merged
+def _axis(rotation: Array) -> Array:
+    """Return the third column (3,) of a frame (3, 3), the direction of the tip."""
+    return np.array((rotation[0, 2], rotation[1, 2], rotation[2, 2]))

@@ -140,7 +140,7 @@ def _unit(vector: Array) -> Array:
 
 
 @compiled
-def _shortest_rotation(here: Array, there: Array) -> Array:
+def shortest_rotation_law(here: Array, there: Array) -> Array:
     """Return the shortest rotation (3,) from one direction to the other, axis times angle [rad]."""
     axis = _cross(here, there)
     sin, cos = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2), 0.0
@@ -256,7 +256,7 @@ def _direction_rows(
     desired, turning, here = vectors[0], vectors[1], vectors[2]
     with_load, free, now = fields(loaded), fields(unloaded), _direction_fields(numbers).now
     aimed = _unit(desired + lead_time * _cross(turning, desired))
-    turn = _shortest_rotation(here, aimed)
+    turn = shortest_rotation_law(here, aimed)
     for i in range(3):
         turn[i] = gain * turn[i] + feedforward * turning[i]
     across, right = inner_law(number, turn, with_load.jacobian[3:], free.jacobian[3:], now[3], now[2], now[4])
@@ -273,7 +273,7 @@ def _direction_rows(
 
 def shortest_rotation(here: Array, there: Array) -> Array:
     """Return the shortest rotation (3,) from one direction (3,) to the other, axis times angle [rad]."""
-    return _shortest_rotation(here, there)
+    return shortest_rotation_law(here, there)
 
 
 def task_rows(aim: TaskSelection, jacobian: Array, rotation: Array) -> Array:
