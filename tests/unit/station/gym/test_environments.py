@@ -81,7 +81,7 @@ def test_vector_environment_equals_single_environments(many, one, more):
             if key.startswith("_"):
                 assert np.array_equal(more_[key], value)
             else:
-                assert np.array_equal(more_[key][m[f"_{key}"]], value[m[f"_{key}"]])
+                assert same(more_[key][m[f"_{key}"]], value[m[f"_{key}"]])
     singles.close()
 
 
