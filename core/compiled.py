@@ -1,22 +1,26 @@
 """Decorators that compile functions with Numba, cache the machine code on disk and keep the type annotations.
 
 The cache key of a function includes the sources of all functions and types that the function names. A function is
-therefore also recompiled when another file, whose functions or types it uses, has changed.
+therefore also recompiled when another file, whose functions or types it uses, has changed. If several processes need a
+function at the same time, one of them compiles it, and the others wait and load it.
 
 `error_model="numpy"` drops division checks inside loops. The fast-math flags let the compiler fuse and reorder
 operations. The chosen flags keep NaN and infinity meaningful, because the control loop checks for them.
 """
 
+import fcntl
 import hashlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from functools import cache
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TextIO, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 from numba.core.caching import IndexDataCacheFile  # pyright: ignore[reportMissingTypeStubs]
+from numba.core.compiler_lock import global_compiler_lock  # pyright: ignore[reportMissingTypeStubs]
 from numba.core.dispatcher import Dispatcher  # pyright: ignore[reportMissingTypeStubs]
 from numba.cpython.unsafe import tuple as numba_tuple  # pyright: ignore[reportMissingTypeStubs]
 from numpy.typing import NDArray
@@ -69,7 +73,8 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     made = cast(Any, numba).njit(**options, **_OPTIONS)(function)
     sources, values = _dependencies(function)
     _SOURCES[made] = sources
-    digest = hashlib.sha256("".join((*map(_content, sorted(sources)), *values)).encode()).hexdigest()[:16]
+    contents = (function.__qualname__, *map(_content, sorted(sources)), *values)
+    digest = hashlib.sha256("".join(contents).encode()).hexdigest()[:16]
     # Numba reuses machine code until the function's own file changes. It would also reuse the code after a called
     # function or a used type in another file has changed, for instance with array indices that are no longer valid. The
     # digest in the file name prevents that.
@@ -77,7 +82,41 @@ def _compiled(function: Callable[P, R], **options: Any) -> Callable[P, R]:
     disk_cache._cache_file = IndexDataCacheFile(
         disk_cache.cache_path, f"{disk_cache._impl.filename_base}-{digest}", digest
     )
+    compile_now, locator, number = made.compile, disk_cache._impl.locator, int(digest[:15], 16)
+
+    def compile_once(signature: Any) -> Any:
+        # In the other order, two threads could wait for each other.
+        with cast(Any, global_compiler_lock), _locked(locator, number):
+            return compile_now(signature)
+
+    made.compile = compile_once
     return made
+
+
+@contextmanager
+def _locked(locator: Any, number: int) -> Generator[None]:
+    """Wait until no other process compiles the function with this number, and keep other processes from compiling it.
+
+    Functions are locked in the order of their calls, so no two processes wait for each other. Without write access to
+    the folder of compiled code, which `locator` finds, or on a drive without locks, processes may compile twice.
+    """
+    file = None
+    with suppress(OSError):
+        locator.ensure_cache_path()
+        file = _lock_file(f"{locator.get_cache_path()}/compiling.lock")
+        fcntl.lockf(file, fcntl.LOCK_EX, 1, number)
+    try:
+        yield
+    finally:
+        if file is not None:
+            with suppress(OSError):
+                fcntl.lockf(file, fcntl.LOCK_UN, 1, number)
+
+
+@cache
+def _lock_file(path: str) -> TextIO:
+    """Open a file for locks. It stays open, because closing it would release all its locks."""
+    return open(path, "a", encoding="utf-8")  # noqa: PTH123 - core does not import pathlib
 
 
 def _dependencies(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:

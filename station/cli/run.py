@@ -51,7 +51,7 @@ def _run(parsed: argparse.Namespace) -> int:
     if jobs == 1:
         return _run_experiment(parsed, None)
     with JobPool(jobs) as started:
-        # Load or compile the lab's code while the experiment is read and checked on the model.
+        # Load or compile the code of the lab and the controller while the experiment is read and checked on the model.
         from station.experiments.runner import warm_up
 
         started.prepare(warm_up)

@@ -8,10 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.control.command import command
-from core.control.trajectories import Setpoint
 from core.errors import CtrError
-from core.model.solution import at_rest
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.robots import load_robot
@@ -149,16 +146,9 @@ def warm_up() -> None:
     """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
 
     A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
-    the model of the robot and checks the motions of the experiment on it. The second process begins with the code that
-    the first one does not need, so that it finds the model compiled.
+    the model of the robot and checks the motions of the experiment on it. The second process begins with the lab, which
+    does not need the model.
     """
     robot, config, park = load_robot("paper"), LabConfig(), (0.0, 0.5 * math.pi, -0.1)
-    joints, zero, controller = np.array(park), np.zeros(3), ControllerFile().controller(robot)
-    virtual_bench(robot, config, 0, joints).lab.advance(0.0)
-    rest = at_rest(joints, math.inf, len(robot.tubes))
-    estimate = controller.estimator.start(rest, rest, zero, zero)
-    command(
-        controller.strategy, controller.feedback, controller.limits,
-        joints, estimate, zero, Setpoint(zero, zero), zero, zero,
-    )  # fmt: skip
-    warm_up_control(robot, config, 0, park, controller)
+    virtual_bench(robot, config, 0, np.array(park)).lab.advance(0.0)
+    warm_up_control(robot, config, 0, park, ControllerFile().controller(robot))

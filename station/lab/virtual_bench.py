@@ -1,5 +1,6 @@
 """Benches in virtual time: the plant with ideal devices, or simulated devices with the drivers of a real bench."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -8,9 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from core.control.controller_settings import Controller
+from core.control.estimation import estimate
 from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, StreamedTip
 from core.control.step import Sample, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
+from core.model.solution import at_rest
 from core.robot.robot import Array, Robot
 from station.config.controllers import PERIOD_S
 from station.config.loads import Load
@@ -245,7 +248,8 @@ def warm_up_control(
 ) -> None:
     """Compile all code that a tick can call, by running the control loop on a simulated bench in memory.
 
-    Otherwise a tick of the running station would wait for the compiler and be late.
+    Otherwise a tick of the running station would wait for the compiler and be late. The estimation comes first: in a
+    new installation another process compiles the model meanwhile, which the estimation does not need.
 
     Args:
         robot: robot of the station.
@@ -255,9 +259,13 @@ def warm_up_control(
         controller: controller of the station.
     """
     joints, tubes = np.array(park), len(robot.tubes)
-    still = Sample(joints, np.zeros_like(joints), np.zeros((tubes, 6)), np.zeros(3), 0.0)
+    rest, zero = at_rest(joints, math.inf, tubes), np.zeros(3)
+    now = controller.estimator.start(rest, rest, zero, zero)
+    before = (rest.numbers, rest.numbers, now.numbers)
+    estimate(controller.estimator.settings, *before[:2], *before, zero, joints, zero, -1.0, now.numbers.copy())
+    still = Sample(joints, np.zeros_like(joints), np.zeros((tubes, 6)), zero, 0.0)
     memory = start_controller(controller, still)
-    for order in (Setpoint(np.zeros(3), np.zeros(3)), JointMotion(np.zeros_like(joints)), None):
+    for order in (Setpoint(zero, zero), JointMotion(np.zeros_like(joints)), None):
         memory = step(controller, memory, still, order).memory
     for _ in range(2):  # with the tip's direction, which a calibration reads even if the direction is not controlled
         memory = step(replace(controller, watches=True), memory, still, None).memory

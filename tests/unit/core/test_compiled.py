@@ -1,6 +1,7 @@
 """Compiled code detects NaN, and is recompiled when anything that it depends on has changed."""
 
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -71,3 +72,38 @@ def test_a_compiled_function_is_recompiled_after_a_change_in_another_file(tmp_pa
     layout.write_text(LAYOUT.format(place=2).replace("Parts", "Views").replace("STEP = 10", "STEP = 20"))
     (tmp_path / "user.py").write_text(USER.replace("Parts, ", ""))
     assert answer(tmp_path) == ["22.0", "0"]
+
+
+MANY = 400  #: statements of a function that takes a second to compile
+
+
+def test_a_function_that_two_processes_need_at_once_is_compiled_by_one_of_them(tmp_path: Path) -> None:
+    lines = "\n".join(f"    total = total * {number}.0 + np.sin(total)" for number in range(MANY))
+    (tmp_path / "user.py").write_text(f"""
+import sys
+import numpy as np
+from core.compiled import compiled
+
+@compiled
+def slow(total: float) -> float:
+{lines}
+    return total
+
+print("imported", flush=True)
+sys.stdin.read()
+print(slow(0.0), sum(slow.stats.cache_hits.values()))
+""")
+    command, environment = [sys.executable, str(tmp_path / "user.py")], {"PYTHONPATH": str(ROOT)}
+    reader, writer = os.pipe()
+    both = [
+        subprocess.Popen(command, cwd=ROOT, env=environment, text=True, stdin=reader, stdout=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    os.close(reader)
+    for one in both:
+        assert one.stdout is not None
+        assert one.stdout.readline() == "imported\n"
+    os.close(writer)  # both processes now call the function
+    (first, loaded), (second, also) = (one.communicate()[0].split() for one in both)
+    assert first == second
+    assert sorted((loaded, also)) == ["0", "1"]
