@@ -6,8 +6,11 @@ programs. The rate of several cores is the number in a second of real time.
 
 import contextlib
 import math
+import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
 from typing import Any, cast
 
 import numpy as np
@@ -19,6 +22,7 @@ from core.model.cosserat import ExactRod
 from core.model.statics import Solution, Statics
 from core.robot.robot import Array
 from station.benchmarks.accuracy import cases, draw, telescope
+from station.config.controllers import PERIOD_S
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.control import loop
@@ -27,6 +31,9 @@ from station.experiments.experiment import Case, load_experiment
 from station.experiments.job_pool import JobPool, processors
 from station.experiments.runner import run_case
 from station.solve_many import solve_many
+
+#: Processor time between two samples of the running function [s].
+SAMPLE_S = 1e-3
 
 
 def model(solves: int = 20_000, tubes: int = 5) -> dict[str, Any]:
@@ -114,14 +121,42 @@ def headless(seconds: float = 20.0) -> dict[str, Any]:
     """Measure the speed of the case `feedforward` of `fig10` in virtual time: one run, then one on each processor."""
     _headless(2.0, lambda _: None)
     alone = sorted(_headless(seconds, lambda _: None) for _ in range(3))
+    shares = share_by_folder(lambda: _headless(seconds, lambda _: None))
+    tick_us = 1e6 * PERIOD_S / alone[1]
     count = processors()
     with JobPool(count) as started:
         for duration in (2.0, seconds):
             parallel = started.carry_out(_headless, [duration] * count, lambda _: None)
     return {
         "times_real_time": round(alone[1], 2), "min": round(alone[0], 2), "max": round(alone[2], 2),
+        "tick_us": {folder: round(share * tick_us, 1) for folder, share in shares.items()},
         "side_by_side": {"processes": count, "times_real_time": round(sum(parallel), 2)},
     }  # fmt: skip
+
+
+def share_by_folder(work: Callable[[], object]) -> dict[str, float]:
+    """Carry out `work` and return the shares of its processor time by folder of the project, the largest first.
+
+    Compiled code and libraries count for the function that calls them.
+    """
+    counts = Counter[str]()
+
+    def sample(_: int, frame: FrameType | None) -> None:
+        while frame is not None:
+            package, *rest = frame.f_globals.get("__name__", "").split(".")
+            if package in ("core", "station") and rest:
+                counts[f"{package}/{rest[0]}"] += 1
+                return
+            frame = frame.f_back
+
+    before = signal.signal(signal.SIGPROF, sample)
+    signal.setitimer(signal.ITIMER_PROF, SAMPLE_S, SAMPLE_S)
+    try:
+        work()
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+    return {folder: count / counts.total() for folder, count in counts.most_common()}
 
 
 def _headless(duration: float, _: Callable[[float], None]) -> float:

@@ -19,20 +19,25 @@ from station.benchmarks.bench import flat, headless, model, tick
 from station.benchmarks.cold import cold
 from station.benchmarks.loop import loop
 from station.benchmarks.recorder import recorder
+from station.benchmarks.rest import rest
 from station.benchmarks.setpoints import setpoints
 from station.benchmarks.wire import wire
 from station.experiments.job_pool import processors
 
 #: Durations of those benchmarks that run for a given time [s].
-LOOP_SECONDS, RECORDER_SECONDS, SETPOINTS_SECONDS = 60.0, 20.0, 60.0
+LOOP_SECONDS, RECORDER_SECONDS, REST_SECONDS, SETPOINTS_SECONDS = 60.0, 20.0, 20.0, 60.0
 #: Description and function of each benchmark, by its name.
 MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
     "model": ("The loaded model with J and C, warm, two tubes and three joints", model),
     "cost": ("Time of a warm solve by tubes and sub-links [us]", cost),
     "tick": ("One tick of the controller in the loop", tick),
     "wire": ("One tick of the virtual lab at protocol level, part by part", wire),
-    "headless": ("A case of `fig10` in virtual time, with all protocols", headless),
+    "headless": ("A case of `fig10` in virtual time, with all protocols, and the time of a tick by folder", headless),
     "cold": ("A new installation: the first `run fig7`, the second one, and the compiled code", cold),
+    "rest": (
+        "Start of a station, and its processes while the robot is at rest, in percent of one processor",
+        lambda: rest(REST_SECONDS, lambda _: None),
+    ),
     "recorder": ("Processor time of a live recording", lambda: recorder(RECORDER_SECONDS)),
     "setpoints": (
         "Delay from a script's setpoint to the stages' line, which sends to each axis every 25 ms",

@@ -34,8 +34,10 @@ BROWSER_FLAGS = (
 class ServedStation:
     """Station that runs in a separate process."""
 
-    def __init__(self, url: str, pid: int) -> None:
-        self.url, self._pid = url, pid
+    def __init__(self, url: str, pid: int, address_s: float, ready_s: float) -> None:
+        self.url, self.pid = url, pid
+        self.address_s = address_s  #: time from the start of the process until it printed its address [s]
+        self.ready_s = ready_s  #: time from the start of the process until it was READY [s]
 
     @contextmanager
     def ring(self, robot: RobotFile) -> Iterator[Ring]:
@@ -44,7 +46,7 @@ class ServedStation:
         Raises:
             CtrError: the operating system does not list shared memory by name, so the ring was not found.
         """
-        names = [path.name for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}{self._pid}_*")]
+        names = [path.name for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}{self.pid}_*")]
         if len(names) != 1:
             raise CtrError(f"no telemetry of a station in {SEGMENT_FOLDER}: this needs Linux")
         ring = Ring(ring_width(robot), names[0])
@@ -67,15 +69,17 @@ def serve_station(folder: Path, settings: Mapping[str, Any]) -> Iterator[ServedS
     config.write_text("\n".join(toml_lines(settings)) + "\n", encoding="utf-8")
     # `web` is imported in the child process only: the package `station` must not import `web`, a higher layer.
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", "0"]
+    started = time.monotonic()
     with output.open("w", encoding="utf-8") as out:
         process = subprocess.Popen(  # noqa: S603 - ourselves
             [*command, "--config", str(config), "--data", str(folder)], stdout=out, stderr=subprocess.STDOUT
         )
     try:
         url = _address(process, output)
+        address_s = time.monotonic() - started
         with Station(url) as script:
             script.wait_for("READY", START_TIMEOUT_S)
-        yield ServedStation(url, process.pid)
+        yield ServedStation(url, process.pid, address_s, time.monotonic() - started)
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(START_TIMEOUT_S)

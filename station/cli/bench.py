@@ -9,7 +9,7 @@ from typing import Any
 from station.cli.options import number_between, progress_bar
 
 BENCHMARKS = (
-    "model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "recorder", "setpoints",
+    "model", "accuracy", "solver", "cost", "tick", "wire", "loop", "headless", "cold", "rest", "recorder", "setpoints",
     "gym", "report",
 )  # fmt: skip
 
@@ -23,7 +23,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         type=number_between(1.0, 86400.0, "a time", "s"),
         default=60.0,
         metavar="S",
-        help="duration of each of the benchmarks loop, recorder and setpoints [s] (default: 60)",
+        help="duration of each of the benchmarks loop, rest, recorder and setpoints [s] (default: 60)",
     )
     bench.add_argument("--no-fifo", action="store_true", help="loop: do not request real-time scheduling")
     bench.add_argument("--json", action="store_true", help="print one JSON object")
@@ -53,7 +53,7 @@ def _bench(parsed: argparse.Namespace) -> int:
 
 
 def _measure(parsed: argparse.Namespace) -> dict[str, Any]:
-    from station.benchmarks import accuracy, bench, cold, loop, recorder, setpoints, solver, wire
+    from station.benchmarks import accuracy, bench, cold, loop, recorder, rest, setpoints, solver, wire
 
     with progress_bar() as bar:
         task = bar.add_task(f"bench {parsed.what}", total=1.0)
@@ -66,6 +66,8 @@ def _measure(parsed: argparse.Namespace) -> dict[str, Any]:
                 return loop.loop(parsed.seconds, progress, fifo=not parsed.no_fifo)
             case "recorder":
                 return recorder.recorder(parsed.seconds)
+            case "rest":
+                return rest.rest(parsed.seconds, progress)
             case "setpoints":
                 return setpoints.setpoints(parsed.seconds, progress)
             case "accuracy":
