@@ -131,7 +131,8 @@ def check_reach(
         limits: limits of single joints and of several joints together.
         joints: start pose (n,) [rad or m].
         trajectory: desired offsets from the start tip.
-        duration: duration of the motion [s]; a periodic motion is checked for one period.
+        duration: duration of the motion [s]; a periodic motion is checked for one period after the direction has become
+            constant.
         force: function that returns the tip force (3,) [N] at a time since the start [s]; times before the start are
             negative; None: no force.
         aim: controlled coordinates of the tip. An angular error counts as the distance angle times lever.
@@ -148,7 +149,8 @@ def check_reach(
     walk = _Walk(statics, limits, joints, force, aim)
     limits.check_all(SolvedConfiguration(statics, walk.at))
     start, heading = walk.at.tip, walk.at.rotation[:, 2]
-    repeats = duration if force is not None else min(duration, trajectory.period)
+    turns = 0.0 if directions is None else max(directions.times[-1], 0.0)  # afterwards the direction is constant
+    repeats = duration if force is not None else min(duration, turns + trajectory.period)
     step = min(CHECK_INTERVAL_S, trajectory.period / 40.0) if trajectory.period > 0.0 else CHECK_INTERVAL_S
     before = np.zeros(3)
     for number in range(math.ceil(min(repeats / step, MAX_STEPS)) + 1):

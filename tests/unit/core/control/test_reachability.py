@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from core.control.reachability import check_reach
-from core.control.trajectories import Circle, Helix, Hold, Sinusoid, Step, Waypoints
+from core.control.tip_direction import task_selection
+from core.control.trajectories import Circle, Directions, Helix, Hold, Sinusoid, Step, Waypoints
 from core.errors import CtrError, Unreachable
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits, Workspace
@@ -130,3 +131,21 @@ def test_reachability_check_of_a_long_periodic_motion_ends_after_one_period(mode
     check_reach(model, LIMITS, POSE, Sinusoid((0.0, 0.0, 1.0), 0.010, 0.05), 86_400.0)
 
     assert len(solves) < 1100  # only one period of 20 s is checked
+
+
+def turned(heading, degrees: float) -> Directions:
+    """Return directions that turn from a heading (3,) about y by an angle in 10 s."""
+    cos, sin = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    there = (cos * heading[0] + sin * heading[2], heading[1], cos * heading[2] - sin * heading[0])
+    return Directions((0.0, 10.0), (tuple(heading), there))
+
+
+def test_direction_within_reach_passes_the_check_and_one_out_of_reach_is_refused_in_degrees(model):
+    """Tubes whose curves are side by side bend the tip by less than 60 deg."""
+    heading = model.solve(POSE, np.zeros(6)).rotation[:, 2]
+    aim = task_selection("direction")
+    slightly, beyond = turned(heading, 8.0), turned(heading, 60.0)
+
+    check_reach(model, LIMITS, POSE, Hold(), 12.0, aim=aim, directions=slightly)
+    with pytest.raises(Unreachable, match=r"at [2-9]\.\d+ s the tip would point \d\.?\d* deg off \(more than"):
+        check_reach(model, LIMITS, POSE, Hold(), 12.0, aim=aim, directions=beyond)
