@@ -30,7 +30,7 @@ def same(one, other) -> bool:
     """
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    return np.allclose(one, other, rtol=1e-9, atol=1e-12)
+    return np.allclose(np.asarray(one, float), np.asarray(other, float), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
