@@ -9,8 +9,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import httpx
+
 from core.errors import CtrError
-from station.benchmarks.served import ServedStation, browser, open_page, serve_station
+from station.benchmarks.served import START_TIMEOUT_S, ServedStation, browser, open_page, serve_station
 
 #: Number of measured starts. One start before them compiles on a new installation.
 STARTS = 3
@@ -46,6 +48,8 @@ def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
                 progress(0.6)
                 if (chromium := browser()) is not None:
                     stack.enter_context(open_page(station, chromium, folder / "browser"))
+                    # The first page lets the station check all experiments on the model; the answer waits for that.
+                    httpx.get(f"{station.url}api/experiments", timeout=START_TIMEOUT_S).raise_for_status()
                     result["page open"] = _at_rest(station, seconds)
         progress(0.1 * number)
     return {
