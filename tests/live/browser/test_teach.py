@@ -159,6 +159,23 @@ def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> N
     assert len(table(teach)) == 3  # the table is unchanged
 
 
+def test_error_of_a_file_stays_when_the_check_of_the_table_ends(teach: Page) -> None:
+    asked = []
+    teach.route("**/api/waypoints/check", lambda route: asked.append(route))  # the answer to the check waits
+    try:
+        take(teach, POINTS)
+        while not asked:
+            teach.wait_for_timeout(50)
+        teach.get_by_label("CSV file").set_input_files({"name": "b.csv", "mimeType": "text/csv", "buffer": b"5, 0, 10"})
+        says(teach, "line 1: 3 numbers; a line is time [s], x, y, z")
+        with teach.expect_response("**/api/waypoints/check"):
+            asked[0].continue_()
+        teach.locator(".way polyline:not(.guess)").first.wait_for(state="attached")  # the checked path is drawn
+        says(teach, "line 1: 3 numbers; a line is time [s], x, y, z")
+    finally:
+        teach.unroute_all(behavior="wait")
+
+
 def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teach: Page, station: Served) -> None:
     take(teach, POINTS)
     says(teach, "✓ according to the model")

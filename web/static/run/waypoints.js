@@ -39,6 +39,7 @@ export function waypoints(rest, goThere) {
   const unit = make("select", { "aria-label": "unit of a file without units" }, ...Object.keys(UNITS).map((item) => make("option", { value: item }, item)));
   const file = make("input", { type: "file", accept: ".csv,text/csv,text/plain", "aria-label": "CSV file of waypoints" });
   let checkResult = null, checkNumber = 0, timer = null;
+  let fileError = ""; // error of the last chosen file, shown until the table changes
 
   const metresPerSecond = () => Number(speed.value) * MM;
   const element = make("div", { className: "teach" },
@@ -53,7 +54,8 @@ export function waypoints(rest, goThere) {
     if (file.files.length === 0) return;
     const result = parseCsv(await file.files[0].text(), unit.value);
     file.value = ""; // needed so that the user can load the same file again
-    if (result.wrong) showMessage(result.wrong, true); else change({ rows: result.rows, origin: null });
+    fileError = result.wrong ?? "";
+    if (fileError !== "") showCheck(); else change({ rows: result.rows, origin: null });
   });
 
   function showMessage(text, isWarning) {
@@ -84,6 +86,7 @@ export function waypoints(rest, goThere) {
     else oldRows.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => { input.value = cellText(rows()[i][k], k); }));
     undoButton.disabled = !canUndo();
     checkResult = null;
+    fileError = "";
     showCheck();
     clearTimeout(timer);
     timer = setTimeout(checkPath, CHECK_DELAY_MS);
@@ -99,7 +102,8 @@ export function waypoints(rest, goThere) {
       row.setAttribute("aria-invalid", String(i === bad));
       if (i === bad) row.after(make("tr", { className: "why" }, make("td"), make("td", { colSpan: 5 }, `✗ ${inPageUnits(text)}${checkResult?.instead ? `; ${checkResult.instead}` : ""}`)));
     });
-    if (rows().length === 0) showMessage("No waypoint yet: move the tip (tab Jog) and add its position, add a row, or load a file. The first waypoint is the start; all others are relative to it.", false);
+    if (fileError !== "") showMessage(fileError, true);
+    else if (rows().length === 0) showMessage("No waypoint yet: move the tip (tab Jog) and add its position, add a row, or load a file. The first waypoint is the start; all others are relative to it.", false);
     else if (fault !== null) showMessage(`waypoint ${fault.row + 1} is incomplete`, true);
     else if (checkResult === null) showMessage("checking on the model …", false);
     else if (checkResult.possible) showMessage(`✓ according to the model, the tip reaches ${rows().length === 1 ? "it" : `all ${rows().length}, the last one`} at ${tidy(rows().at(-1)[0])} s; the rest of the duration below is a pause`, false);
