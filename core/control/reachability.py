@@ -13,22 +13,16 @@ from functools import cached_property
 import numpy as np
 
 from core.compiled import compiled, merged
-from core.control.retreat import retreat, room_after
+from core.control.retreat import inverse_after_retreat, retreat
 from core.control.tip_direction import POSITION_ONLY, TaskSelection, shortest_rotation_law
 from core.control.trajectories import Directions, Trajectory
-from core.control.velocity_ik import (
-    NO_BOUNDS,
-    SIGMA_FLOOR_M_S,
-    Inverse,
-    inverse,
-    no_rows,
-)
+from core.control.velocity_ik import NO_BOUNDS, SIGMA_FLOOR_M_S, VelocityTask, no_rows
 from core.errors import Cancelled, CtrError, PoseError, Unreachable
 from core.model.backbone import ExpectedMotion, backbone
 from core.model.solution import fields
 from core.model.statics import Solution, Statics
 from core.robot.keep_out import KeepOut
-from core.robot.limits import Backbone, Limits, velocity_bounds
+from core.robot.limits import Backbone, Limits
 from core.robot.robot import Array
 
 #: Largest distance by which the simulated tip may fall behind its path [m].
@@ -184,36 +178,28 @@ class _Walk:
         aim: TaskSelection,
     ) -> None:
         self._statics, self._limits, self._force = statics, limits, force
-        self._position, self._lever, self._standing = aim.position, aim.lever, np.zeros(joints.size)
+        self._position, self._lever, self._rows = aim.position, aim.lever, aim.rows
         self._regions = tuple(limit for limit in limits.others if isinstance(limit, KeepOut))
-        self._rows = aim.rows
-        self._last: tuple[Array, Inverse] | None = None  # joint positions before the last step, and its velocity
+        self._last: tuple[Array, ...]  # joint positions before the last step, then singular values and active limits
         self._left = (0.0, 0.0)  # remaining distance [m], and remaining angle times lever [m]
         self.at: Solution = statics.solve(joints, self._wrench(-CHECK_INTERVAL_S))
 
     def step(self, target: Array, time: float, length: float, pointing: Array) -> float:
         """Move for `length` [s] toward a target (3,) [m] and direction (3,); return the distance that remains [m]."""
-        at, limits, n = self.at, self._limits, self._standing.size
+        at, limits, n = self.at, self._limits, self.at.joints.size
         wrench = self._wrench(time)
         rows, room, retreating = no_rows(n), NO_BOUNDS, None
         if limits.others:
-            expected = ExpectedMotion(self._standing, (wrench[:3] - at.wrench[:3]) / length, np.zeros(3), lead_time=0.0)
+            expected = ExpectedMotion(np.zeros(n), (wrench[:3] - at.wrench[:3]) / length, np.zeros(3), lead_time=0.0)
             context = SolvedConfiguration(self._statics, at, expected=expected)
             rows, room = limits.rows(context)
             retreating = retreat(limits, context, rows, room)
-        if retreating is None:
-            retreating = self._standing
-        else:
-            room = room_after(retreating, rows, room)
-        jacobian, desired, bounds = np.zeros((self._rows, n)), np.zeros(self._rows), np.empty((2, n))
-        _remaining_task(
-            at.numbers, limits.packed, wrench, target, pointing, self._position, self._lever, length, retreating,
-            jacobian, desired, bounds,
-        )  # fmt: skip
-        found = inverse(jacobian, desired, limits.speed, bounds[0], bounds[1], rows, room)
-        self._last = at.joints, found
+        task = VelocityTask(np.zeros((self._rows, n)), np.zeros(self._rows))
+        _fill_task(at.numbers, wrench, target, pointing, self._position, self._lever, length, *task)
+        velocity, *found = inverse_after_retreat(limits, at.joints, task, rows, room, retreating)
+        self._last = at.joints, *found
         try:
-            self.at = self._statics.solve(at.joints + length * (retreating + found.velocity), wrench, at)
+            self.at = self._statics.solve(at.joints + length * velocity, wrench, at)
         except CtrError as error:
             raise Unreachable(f"at {time:.4g} s: {error}").at(time) from None
         if self._regions:
@@ -245,12 +231,10 @@ class _Walk:
     @property
     def reasons(self) -> str:
         """Text: the limits that were active in the last step."""
-        names: list[str] = []
-        if self._last is not None:
-            joints, (_, sigma, *active) = self._last
-            if sigma[-1] < NEAR_SINGULAR_M_S:
-                names.append(f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)")
-            names += self._limits.active(joints, *active)
+        joints, sigma, *active = self._last
+        names = self._limits.active(joints, *active)
+        if sigma[-1] < NEAR_SINGULAR_M_S:
+            names = (f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)", *names)
         return ", ".join(names) or "more than the joints can do at once"
 
     def _wrench(self, time: float) -> Array:
@@ -261,26 +245,22 @@ class _Walk:
 
 
 @compiled
-def _remaining_task(
-    numbers: Array, limits: Array, wrench: Array, target: Array, pointing: Array, position: float, lever: float,
-    length: float, retreating: Array, jacobian: Array, desired: Array, bounds: Array,
+def _fill_task(
+    numbers: Array, wrench: Array, target: Array, pointing: Array, position: float, lever: float, length: float,
+    jacobian: Array, desired: Array,
 ) -> None:  # fmt: skip
-    """Write the equations and bounds for the joint velocities of a step that remain after a retreat.
+    """Add the equations for the joint velocities of a step to `jacobian` and `desired`, which are zero before.
 
     Args:
         numbers: numbers of the solution before the step.
-        limits: `Limits.packed`.
         wrench, target, pointing: load (6,), position (3,) [m] and direction (3,) of the tip after the step.
         position, lever: weights of the task, see `TaskSelection`.
         length: duration of the step [s].
-        retreating: joint velocities (n,) of the retreat [rad/s or m/s].
-        jacobian, desired: in, zeros; out, the equations of a `VelocityTask`.
-        bounds: out, lowest and highest velocities (2, n) [rad/s or m/s].
+        jacobian, desired: out, see `VelocityTask`.
 
     """
     at = fields(numbers)
     n, split = at.joints.shape[0], 3 if position > 0.0 else 0
-    lowest, highest = velocity_bounds(at.joints, limits)
     moved, turned = np.empty(3), shortest_rotation_law(_axis(at.rotation), pointing)
     for i in range(3):
         # The joints must also compensate the motion that the load causes in this step.
@@ -297,10 +277,6 @@ def _remaining_task(
             desired[k] += weight * change / length
             for j in range(n):
                 jacobian[k, j] += weight * at.jacobian[row, j]
-        for j in range(n):
-            desired[k] -= jacobian[k, j] * retreating[j]
-    for j in range(n):
-        bounds[0, j], bounds[1, j] = lowest[j] - retreating[j], highest[j] - retreating[j]
 
 
 @compiled

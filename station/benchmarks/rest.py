@@ -45,13 +45,13 @@ def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
                 used.append(sum(use.processor for use in processes(station.pid).values()))
             if number == STARTS:
                 result["no page"] = _at_rest(station, seconds)
-                progress(0.6)
+                progress(0.7)
                 if (chromium := browser()) is not None:
                     stack.enter_context(open_page(station, chromium, folder / "browser"))
                     # The first page lets the station check all experiments on the model; the answer waits for that.
                     httpx.get(f"{station.url}api/experiments", timeout=START_TIMEOUT_S).raise_for_status()
                     result["page open"] = _at_rest(station, seconds)
-        progress(0.1 * number)
+        progress(0.1 * (number + 1) if number < STARTS else 1.0)
     return {
         "start": {
             "address_s": round(statistics.median(start.address_s for start in starts), 2),

@@ -1,4 +1,4 @@
-"""Compiled code detects NaN, and is recompiled when anything that it depends on has changed."""
+"""Compiled code detects NaN, is compiled by one process, and again when anything that it depends on has changed."""
 
 import math
 import os

@@ -54,8 +54,7 @@ export function waypoints(rest, goThere) {
     if (file.files.length === 0) return;
     const result = parseCsv(await file.files[0].text(), unit.value);
     file.value = ""; // needed so that the user can load the same file again
-    fileError = result.wrong ?? "";
-    if (fileError !== "") showCheck(); else change({ rows: result.rows, origin: null });
+    if (result.wrong) { fileError = result.wrong; showCheck(); } else change({ rows: result.rows, origin: null });
   });
 
   function showMessage(text, isWarning) {
