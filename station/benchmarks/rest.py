@@ -48,7 +48,7 @@ def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
                 progress(0.7)
                 if (chromium := browser()) is not None:
                     stack.enter_context(open_page(station, chromium, folder / "browser"))
-                    # The first page lets the station check all experiments on the model; the answer waits for that.
+                    # For a first page the station checks all experiments on the model; this answer waits for that.
                     httpx.get(f"{station.url}api/experiments", timeout=START_TIMEOUT_S).raise_for_status()
                     result["page open"] = _at_rest(station, seconds)
         progress(0.1 * (number + 1) if number < STARTS else 1.0)
