@@ -77,11 +77,16 @@ def _at_rest(station: ServedStation, seconds: float) -> dict[str, Any]:
 
 
 def processes(pid: int) -> dict[str, Use]:
-    """Return what the process `pid` and its children use, by name; the process itself has the name `station`."""
+    """Return what the process `pid` and its children use, by name; the process itself has the name `station`.
+
+    Children of the same name, such as several cameras, are added.
+    """
     found = {"station": _use(pid)}
     for task in Path(f"/proc/{pid}/task").iterdir():
         for child in (task / "children").read_text().split():
-            found[Path(f"/proc/{child}/comm").read_text().strip()] = _use(int(child))
+            name, use = Path(f"/proc/{child}/comm").read_text().strip(), _use(int(child))
+            known = found.get(name, Use(0.0, 0.0))
+            found[name] = Use(known.processor + use.processor, known.memory + use.memory)
     return found
 
 
