@@ -53,15 +53,15 @@ RESOLUTIONS = MappingProxyType(
         "rad": 2.0**-22,
         "m/s": 2.0**-18,  # 4 um/s
         "rad/s": 2.0**-18,
-        "N": 2.0**-17,  # 8 uN
+        "N": 2.0**-14,  # 61 uN
         "N/s": 2.0**-14,
-        "N m": 2.0**-23,  # 0.1 uN m
+        "N m": 2.0**-21,  # 0.5 uN m
     }
 )
 #: Beginning of the groups of unit vectors, which are rounded as angles are.
 UNIT_VECTORS = "direction_"
 #: Significant bits of computed channels with other units, such as variances; the state, a whole number, stays exact.
-SIGNIFICANT_BITS = 14
+SIGNIFICANT_BITS = 11
 DOUBLE, SINGLE = "float64", "float32"
 
 

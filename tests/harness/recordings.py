@@ -15,8 +15,8 @@ from station.recording.writer import CaseWriter
 
 PERIOD = 0.002
 #: Resolution of a recording for computed channels of each unit.
-STEPS = {"m": 1 / 2**22, "rad": 1 / 2**22, "m/s": 1 / 2**18, "rad/s": 1 / 2**18, "N": 1 / 2**17, "N/s": 1 / 2**14}
-STEPS["N m"] = 1 / 2**23
+STEPS = {"m": 1 / 2**22, "rad": 1 / 2**22, "m/s": 1 / 2**18, "rad/s": 1 / 2**18, "N": 1 / 2**14, "N/s": 1 / 2**14}
+STEPS["N m"] = 1 / 2**21
 MEASURED = ("joints.", "wrench_raw.", "tip_measured.", "target_measured.", "direction_measured.")
 
 
@@ -25,7 +25,7 @@ def as_recorded(rows: Array, channels: Sequence[Channel]) -> Array:
 
     def rounded(value: float, channel: Channel) -> float:
         unit = "rad" if channel.name.startswith("direction_") else channel.unit
-        step = STEPS.get(unit) or 2.0 ** (math.floor(math.log2(abs(value))) + 1 - 14 if value else 0)
+        step = STEPS.get(unit) or 2.0 ** (math.floor(math.log2(abs(value))) + 1 - 11 if value else 0)
         return round(value / step) * step
 
     kept = np.empty(np.shape(rows))

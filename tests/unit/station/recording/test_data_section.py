@@ -63,7 +63,7 @@ def test_rounding_of_a_recording_does_not_change_the_given_rows(channels):
     rounded = Rounding(channels.all).rounded(rows)
 
     assert (rows == 1.0 / 3.0).all()
-    assert 0.0 < abs(channels.of(rounded, "force")[0, 0] - 1.0 / 3.0) < 2.0**-18
+    assert 0.0 < abs(channels.of(rounded, "force")[0, 0] - 1.0 / 3.0) <= 2.0**-15
 
 
 def test_rows_of_a_wrong_length_or_type_are_refused(channels):
