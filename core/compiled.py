@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from functools import cache
-from typing import Any, ParamSpec, TextIO, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
@@ -100,23 +100,27 @@ def _locked(locator: Any, number: int) -> Generator[None]:
     Functions are locked in the order of their calls, so no two processes wait for each other. Without write access to
     the folder of compiled code, which `locator` finds, or on a drive without locks, processes may compile twice.
     """
-    file = None
+    descriptor = None
     with suppress(OSError):
         locator.ensure_cache_path()
-        file = _lock_file(f"{locator.get_cache_path()}/compiling.lock")
-        fcntl.lockf(file, fcntl.LOCK_EX, 1, number)
+        descriptor = _lock_file(f"{locator.get_cache_path()}/compiling.lock")
+        fcntl.lockf(descriptor, fcntl.LOCK_EX, 1, number)
     try:
         yield
     finally:
-        if file is not None:
+        if descriptor is not None:
             with suppress(OSError):
-                fcntl.lockf(file, fcntl.LOCK_UN, 1, number)
+                fcntl.lockf(descriptor, fcntl.LOCK_UN, 1, number)
 
 
 @cache
-def _lock_file(path: str) -> TextIO:
-    """Open a file for locks. It stays open, because closing it would release all its locks."""
-    return open(path, "a", encoding="utf-8")  # noqa: PTH123 - core does not import pathlib
+def _lock_file(path: str) -> int:
+    """Open a file for locks and return its descriptor.
+
+    The descriptor stays open until the process ends, because closing it would release all its locks.
+    """
+    with open(path, "a", encoding="utf-8") as file:  # noqa: PTH123 - core does not import pathlib
+        return fcntl.fcntl(file, fcntl.F_DUPFD_CLOEXEC, 0)
 
 
 def _dependencies(function: Callable[..., Any]) -> tuple[frozenset[str], list[str]]:
