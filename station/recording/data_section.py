@@ -137,7 +137,7 @@ class RowFormat:
 
 
 class Rounding:
-    """Rounding of the computed channels of a recording, which makes them a third smaller when compressed."""
+    """Rounding of the computed channels of a recording, so that the file becomes smaller when compressed."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         computed = [
