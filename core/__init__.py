@@ -1,1 +1,1 @@
-"""Physics and control of ctr-station: no clock, thread, file or socket."""
+"""Physics and control of ctr-station. This package uses no clock, thread, file or socket."""

@@ -30,6 +30,17 @@ def result_of(who: str, function: Callable[..., Any], *arguments: Any) -> Any:
         raise ContractError(f"{who} raised {type(error).__name__}: {error}") from error
 
 
+def reset_state(who: str, custom: Any) -> None:
+    """Call the method `reset` of the custom code named `who`, if it has one.
+
+    Raises:
+        ContractError: the method raised.
+
+    """
+    if (reset := getattr(custom, "reset", None)) is not None:
+        result_of(f"{who}: reset", reset)
+
+
 def pair(who: str, value: Any, expected: str) -> tuple[Any, Any]:
     """Return both elements of `value`, the tuple that the custom code named `who` returned.
 
@@ -53,7 +64,7 @@ def numbers(who: str, what: str, value: Any, shape: tuple[int, ...], unit: str, 
 
     """
     if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape:
-        # The usual case, quickly: functions of numpy take longer for a few numbers.
+        # Fast path for the usual case: numpy's functions take longer for a few numbers.
         copied: Array = value.copy()
         if not finite or all(map(math.isfinite, copied.ravel().tolist())):
             return copied

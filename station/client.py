@@ -29,11 +29,9 @@ from core.errors import CtrError
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-#: Newest REST format that this client supports; `GET /api/status` reports the format of a station as `format`. Stations
-#: of version 0.1.0 send no `format` and use format 1. Format 2 renamed three paths and the status fields `message`,
-#: `action` and `contact`.
-FORMAT = 2
-#: Words in a refusal because another client is the operator; the operator's name is before them.
+#: Newest REST format that this client supports; `GET /api/status` reports the format of a station as `format`.
+FORMAT = 1
+#: Words in a refusal that is due to another operator; the name of that operator precedes them.
 NOT_OPERATOR = " is operator"
 #: States of a station that has just started, which it leaves without a command.
 STARTING = ("CONNECTING", "HOMED")
@@ -73,7 +71,7 @@ class Setpoints:
         self.start: tuple[float, float, float] = (math.nan, math.nan, math.nan)
         #: direction of the tip at the start of the run, in the world frame; None: the direction is not controlled
         self.direction: tuple[float, float, float] | None = None
-        self.newest: dict[str, Any] = {}  #: latest answer of the station; `go` lists its keys
+        self.newest: dict[str, Any] = {}  #: latest answer of the station; its keys are listed in `go`
 
     def __enter__(self) -> Self:
         from websockets.exceptions import WebSocketException  # local: most scripts need only httpx
@@ -144,7 +142,7 @@ class Setpoints:
         return answer
 
     def every(self, period: float, duration: float = math.inf) -> Iterator[float]:
-        """Yield the time since the start of the stream [s] after each `period` [s], for a `duration` [s]."""
+        """Yield the time since the start of the stream [s] once in each `period` [s], until `duration` [s] is over."""
         count = 0
         while (now := time.monotonic() - self._start_time) < duration:
             yield now
@@ -249,9 +247,13 @@ class Station:
         return self._request("POST", "/api/start", given)["run_id"]
 
     def stop(self) -> str:
-        """Stop every axis, in every state. Return a message for the operator; usually empty: every axis has stopped."""
+        """Stop every axis, in every state. Return a message for the operator, which is usually empty."""
         # `_send`, not `_request`: a check of the format must not delay or prevent a STOP.
         return self._send("POST", "/api/stop", {})["note"]
+
+    def connect(self) -> None:
+        """Search for the devices and connect them; a station also does this by itself when it starts."""
+        self._request("POST", "/api/connect", {})
 
     def reset(self) -> None:
         """Reset the station after a person has checked the cause of a STOP, HOLD or FAULT."""
@@ -260,7 +262,7 @@ class Station:
     def home(self, timeout: float = 300.0, *, then_working_pose: bool = True) -> None:
         """Home every stage, move to the working pose if the robot has one, and wait until the station is READY.
 
-        By this call the caller confirms that the path is clear. The working pose is a suitable start for motions.
+        The caller confirms that the path of the tubes is clear. The working pose is a suitable start for motions.
 
         Raises:
             StationRefused: the state is neither CONNECTED nor READY.
@@ -288,9 +290,15 @@ class Station:
         body = {} if joints is None else {"joints": joints}
         self.wait(self._request("POST", "/api/goto", body)["run_id"], timeout)
 
-    def tare(self) -> None:
-        """Tare the force sensors."""
-        self._request("POST", "/api/tare", {})
+    def tare(self, *, untouched: bool = False) -> None:
+        """Tare the force sensors.
+
+        With `untouched` the caller confirms that nothing touches the robot, so that any force is removed.
+
+        Raises:
+            StationRefused: the state is not READY, or the tip has contact, which a tare would hide.
+        """
+        self._request("POST", "/api/tare", {"untouched": untouched})
 
     def mark(self, text: str) -> None:
         """Mark the present moment of the run in its recording, for example "touched the tip".
@@ -304,14 +312,22 @@ class Station:
         """Change the stiffness of the tip along the axes of the motion's `stiffness_frame` [N/m], within 1 s.
 
         Raises:
-            StationRefused: the motion was started without a stiffness, no motion runs, or the stiffness is too low for
-                the delay of the line.
+            StationRefused: no motion runs, the motion was started without a stiffness, or the stiffness is too low for
+                the delay of the joints' response to a force.
         """
         self._request("PUT", "/api/stiffness", {"stiffness": stiffness})
 
     def jog(self, space: str, velocity: tuple[float, ...]) -> None:
         """Jog for the next 0.3 s; `space`: `joints` [rad/s or m/s], `tip` [m/s], or `direction` of the tip [rad/s]."""
         self._request("POST", "/api/jog", {"space": space, "velocity": velocity})
+
+    def apply_load(self, load: Mapping[str, Any]) -> None:
+        """Apply a load to the tip or shaft of a virtual lab's robot now, such as {"kind": "constant", ...}."""
+        self._request("POST", "/api/load", {"load": load})
+
+    def inject_faults(self, *faults: Mapping[str, Any]) -> None:
+        """Inject faults such as {"kind": "mute", "device": "tracker"} into a virtual lab; no argument clears them."""
+        self._request("POST" if faults else "DELETE", "/api/faults", {"faults": faults} if faults else None)
 
     def wait(self, run: str, timeout: float | None = None) -> dict[str, Any]:
         """Wait until a run has ended and its recording is finished; return the status.
@@ -325,7 +341,7 @@ class Station:
             status = self.status()
             latest = status["run"]
             if latest is None or latest["id"] != run:
-                raise RunFailed(f"run {run} is not the station's last one")
+                raise RunFailed(f"run {run} is not the present or last run of the station")
             if status["state"] != "RUNNING" and not latest["recording"]:
                 if status["state"] != "READY":
                     raise RunFailed(f"run {run} ended with {status['state']}: {_cause(status)}")
@@ -431,7 +447,7 @@ class Station:
         """
         if self._format_checked:
             return
-        reported = self._connection_status().get("format", 1)
+        reported = self._connection_status()["format"]
         if reported > FORMAT:
             raise StationError(
                 f"{self._http.base_url}: the station's REST has format {reported}, but this client supports at most"

@@ -7,7 +7,7 @@ from core.model.batch import CHUNK_ROWS, Solutions
 from core.model.batch import solve_many as in_one_thread
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.experiments.job_pool import processors
+from station.jobs.processes import processors
 
 
 def solve_many(

@@ -19,6 +19,7 @@ from station.config.strict import PRESETS
 from station.threads import limit_to_one_thread
 from tests.harness.cases import SHORT
 from tests.harness.leftovers import nothing_left_behind
+from tests.harness.root import ROOT
 
 # The limit applies to pytest's workers and to all processes that tests start.
 limit_to_one_thread()
@@ -61,7 +62,7 @@ def paper_robot() -> Robot:
         Joint("inner_rotation", 0, "rotation"),
         Joint("inner_translation", 0, "translation"),
     )
-    return Robot("paper", (inner, outer), joints)
+    return Robot("paper", (inner, outer), joints, integrator="paper")
 
 
 @pytest.fixture(scope="session")
@@ -128,3 +129,9 @@ def nothing_is_left_behind(grace: float) -> Iterator[None]:
     """Check that no thread, child process or listening port outlives its test."""
     with nothing_left_behind(grace):
         yield
+
+
+@pytest.fixture(scope="session")
+def environment() -> dict[str, str]:
+    """Return the environment variables with which a process finds this project from any folder."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}

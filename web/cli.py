@@ -1,6 +1,7 @@
 """The command `ctr-station`: the subcommand `serve`, and all commands of `python -m station`."""
 
 import argparse
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -41,10 +42,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("foxglove", FOXGLOVE_PORT, "Foxglove, live"),
         ("ros2", ZENOH_PORT, "ROS 2 over Zenoh"),
     ):
-        text = f"also serve {what}; on loopback unless HOST is given ({port})"
+        text = f"also serve {what}; on loopback unless HOST is given (default port: {port})"
         serve.add_argument(
             f"--{name}", type=_address, nargs="?", const=address_of(str(port)), metavar="[HOST:]PORT", help=text
         )
+    serve.add_argument(
+        "--ros2-namespace", type=_namespace, default="CTR", metavar="NAME",
+        help="namespace of the robot's topics in ROS 2 (default: CTR)",
+    )  # fmt: skip
     serve.add_argument(
         "--lsl", action="store_true", help="also serve Lab Streaming Layer (LabRecorder), on this computer"
     )
@@ -62,7 +67,7 @@ def _serve(parsed: argparse.Namespace) -> int:
         "without": parsed.without or None,
     }
     changes = {key: value for key, value in given.items() if value is not None}
-    options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2)
+    options = GatewayOptions(parsed.igtl, parsed.foxglove, parsed.lsl, parsed.ros2, parsed.ros2_namespace)
     # Almost all objects of the start stay in use, so a garbage collection would free little and take a fifth of the
     # processor time. The web server enables the collection again when it starts.
     with exit_on_signal() as interrupted, uncollected():
@@ -72,6 +77,12 @@ def _serve(parsed: argparse.Namespace) -> int:
         return serve(
             parsed.config, changes, parsed.host, parsed.port, data_folder(parsed), options, interrupted, browser=browser
         )
+
+
+def _namespace(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no namespace: use letters, digits and _, a letter first")
+    return text
 
 
 def _port(text: str) -> int:

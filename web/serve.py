@@ -16,6 +16,8 @@ from station.control.realtime import last_core
 from station.devices.links.link import clear_left_behind
 from station.experiments.saved import use_saved
 from station.service.audit import Audit
+from station.service.calibration_choice import CalibrationChoice
+from station.service.fallback_stop import StopOutcome
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
 from web.gateway.options import GatewayOptions
@@ -40,7 +42,7 @@ def serve(
     *,
     browser: bool,
 ) -> int:
-    """Run the station until Ctrl-C.
+    """Run the station until Ctrl-C, and start it again each time its calibration changes.
 
     Args:
         config: path of the station file; None: the default station, a virtual lab.
@@ -49,7 +51,7 @@ def serve(
         port: port of page and REST; 0: any free port.
         data: folder of runs, calibrations and audit log.
         options: protocols and addresses of the gateway.
-        interrupted: returns whether a signal has asked the program to end.
+        interrupted: returns whether the program has received a signal to end.
         browser: whether to open a browser; it is opened only if the output is a terminal.
 
     Returns:
@@ -66,8 +68,30 @@ def serve(
     options.check()
     ring.clear_left_behind()
     clear_left_behind()
-    station = load_station(config, changes)
+    choice = CalibrationChoice(config, changes)
     use_saved(data)
+    while True:
+        choice.restart.clear()
+        port, stopped = _serve_once(config, choice, host, port, data, options, interrupted, out, browser=browser)
+        if not (choice.restart.is_set() and stopped.confirmed):
+            break
+        out.print("ctr-station starts again with another calibration")
+        browser = False
+    if stopped.confirmed:
+        out.print(f"ctr-station has ended; {f'every axis is stopped: {stopped.text}' if stopped.text else UNDRIVEN}")
+    return 0 if stopped.confirmed else 1
+
+
+def _serve_once(
+    config: Path | None, choice: CalibrationChoice, host: str, port: int, data: Path, options: GatewayOptions,
+    interrupted: Callable[[], bool], out: Console, *, browser: bool,
+) -> tuple[int, StopOutcome]:  # fmt: skip
+    """Run the station until Ctrl-C or until its calibration changes; return its port, and whether every axis stopped.
+
+    Raises: the errors of `serve`.
+    """
+    station = load_station(config, choice.changes)
+    options = replace(options, origins=station.gateway_origins)
     bench = station.bench()
     with contextlib.closing(listen(host, port)) as listening, contextlib.closing(Audit(data)) as audit:
         port = listening.getsockname()[1]
@@ -83,15 +107,14 @@ def serve(
             # start meanwhile.
             from web.app import serve_web
 
-            serve_web(supervisor, listening, (host, port), data, audit, out, options, interrupted, browser=browser)
+            at = host, port
+            serve_web(supervisor, listening, at, data, audit, out, options, choice, interrupted, browser=browser)
         finally:
             stopped = supervisor.end_control()  # needed if the web server never started; otherwise repeated
             supervisor.close()
             if not stopped.confirmed:
                 sys.stderr.write(f"ctr-station has ended; {stopped.text}\n")
-    if stopped.confirmed:
-        out.print(f"ctr-station has ended; {f'every axis is stopped: {stopped.text}' if stopped.text else UNDRIVEN}")
-    return 0 if stopped.confirmed else 1
+    return port, stopped
 
 
 def listen(host: str, port: int) -> socket.socket:

@@ -11,7 +11,7 @@ from starlette.types import Scope
 STATIC = Path(__file__).parent / "static"
 #: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
 CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
-#: A browser may keep a file, but has to ask whether it has changed. Without this header a browser uses old modules for
+#: A browser may store a file, but must check whether it has changed. Without this header a browser uses old modules for
 #: hours after an update of the station.
 CHECK_BEFORE_USE = {"cache-control": "no-cache"}
 
@@ -34,7 +34,7 @@ class CheckedFiles(StaticFiles):
     def file_response(
         self, full_path: str | PathLike[str], stat_result: stat_result, scope: Scope, status_code: int = 200
     ) -> Response:
-        """Return the file, or that it has not changed."""
+        """Return the file, or a response without content if the file has not changed."""
         response = super().file_response(full_path, stat_result, scope, status_code)
         response.headers.update(CHECK_BEFORE_USE)
         return response

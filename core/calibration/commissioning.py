@@ -2,8 +2,8 @@
 
 An axis has the sign -1 if its stage moves opposite to the robot file. The search for the signs needs no registration of
 the tracker: with the right signs, one rigid transform maps the measured positions onto the model's tips. No rigid
-transform compensates a wrong sign (compensating a reversal of all rotations would need a mirror). The search therefore
-fits a rigid transform for every combination of signs, all to the same few small moves.
+transform compensates a wrong sign; a reversal of all rotations, for example, would need a reflection. The search
+therefore fits a rigid transform for every combination of signs, always to the same few small moves.
 """
 
 import itertools
@@ -21,6 +21,9 @@ from core.robot.robot import Array, Robot
 
 #: The axis signs are accepted if the second-best combination has at least this many times the best position residual.
 MIN_FIT_RATIO = 3.0
+#: An axis has no visible sign if both signs fit and move the model's tip alike within this distance [m]. An example is
+#: the rotation of a nearly straight tube.
+MAX_UNSEEN_M = 2e-3
 #: Largest number of Gauss-Newton steps in the search for the latency; convergence is quadratic.
 LATENCY_SEARCH_STEPS = 20
 
@@ -28,9 +31,9 @@ LATENCY_SEARCH_STEPS = 20
 class Signs(NamedTuple):
     """Estimated signs of the axes, with the residuals of the best and the second-best combination."""
 
-    signs: Array  #: (n,) +1: the axis moves as the robot file states; -1: it is reversed
+    signs: Array  #: (n,) +1: the axis moves as the robot file states; -1: it is reversed; 0: the tip does not show it
     rms: float  #: position residual of these signs, root mean square [m]
-    next_rms: float  #: position residual of the second-best combination of signs [m]
+    next_rms: float  #: position residual of the second-best combination of the visible signs [m]
 
 
 class Latency(NamedTuple):
@@ -45,30 +48,34 @@ def find_signs(robot: Robot, about: Array, measurements: Sequence[Measurement]) 
     """Find the signs of the axes from small moves without load about the joint positions `about` (n,).
 
     Raises:
-        UnobservableCombination: two combinations of signs fit equally well; the text names the axes and what to do.
+        UnobservableCombination: the tip shows no sign, or two combinations of signs fit equally well although they move
+            the model's tip differently; the text names the axes and what to do.
 
     """
     model = Statics(robot, integrator="fourth_order")
     coils = np.array([measurement.coil for measurement in measurements])
     moves = np.array([measurement.joints for measurement in measurements]) - about
-    found: list[tuple[float, Array]] = []
+    found: list[tuple[float, Array, Array]] = []
     for combination in itertools.product((1.0, -1.0), repeat=about.size):
         signs = np.array(combination)
         try:
             tips = np.array([model.solve(about + signs * move, np.zeros(6)).tip for move in moves])
         except CtrError:
-            continue  # a pose is invalid with these signs, so they are not the right ones
-        residual = kabsch(coils, tips).apply(coils) - tips
-        found.append((_rms(residual), signs))
+            continue  # a pose is invalid with these signs, so the signs are wrong
+        found.append((_difference(coils, tips), signs, tips))
     found.sort(key=lambda each: each[0])
-    (best, signs), (second, others) = found[0], found[1]
-    if second < MIN_FIT_RATIO * best:
-        unclear = [j.name for j, a, b in zip(robot.joints, signs, others, strict=True) if a != b]
+    best, signs, tips = found[0]
+    alike = [each for each in found if each[0] <= MIN_FIT_RATIO * best and _difference(tips, each[2]) < MAX_UNSEEN_M]
+    unseen = np.any([each[1] != signs for each in alike], axis=0)
+    others = [each for each in found if (each[1] != signs)[~unseen].any()]
+    if unseen.all() or (others and others[0][0] < MIN_FIT_RATIO * best):
+        second, other, _ = found[1] if unseen.all() else others[0]
+        unclear = [j.name for j, a, b in zip(robot.joints, signs, other, strict=True) if a != b]
         raise UnobservableCombination(
             f"the sign of {', '.join(unclear)} is ambiguous: residual {1e3 * best:.2f} mm with one sign and"
             f" {1e3 * second:.2f} mm with the other; make larger moves, or check the tubes' description"
         )
-    return Signs(signs, best, second)
+    return Signs(np.where(unseen, 0.0, signs), best, others[0][0] if others else np.inf)
 
 
 def find_latency(times: Array, tips: Array, arrivals: Array, coils: Array) -> Latency:
@@ -108,6 +115,11 @@ def find_latency(times: Array, tips: Array, arrivals: Array, coils: Array) -> La
             f" {1e3 * error:.2g} ms: move faster, back and forth"
         )
     return Latency(latency, error, rms)
+
+
+def _difference(here: Array, there: Array) -> float:
+    """Return the distance between points (m, 3) after the best rigid transform, root mean square [m]."""
+    return _rms(kabsch(here, there).apply(here) - there)
 
 
 def _rms(vectors: Array) -> float:

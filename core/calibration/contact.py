@@ -1,20 +1,20 @@
-"""Location of a load on the shaft, from the difference between the base moment and that of a tip load.
+"""Location of a load on the shaft, from the total force and moment of the base sensors.
 
 A force F at the point r(s) of the shaft causes the moment M = r(s) x F in the sum of the base sensors; s is the arc
-length. The search evaluates the mismatch c between measured and expected moment along the shaft. For each s, r is the
-shape of the shaft under the force F at s:
+length. The search evaluates the mismatch c between measured and expected moment along the shaft. For each s, the model
+computes r(s) with the force F at s:
 
     c(s) = M - r(s) x F,    chi2(s) = c^T S^-1 c,    S = S_M + [r x] S_F [r x]^T + [F x] S_r [F x]^T
 
 where S_M, S_F and S_r are the covariances of moment, force and shaft position. The contact is at the minimum of chi2.
 The 95 % confidence region is where chi2 is below this minimum plus 3.84. A force along the shaft, or one whose line
 crosses the shaft twice, gives a long interval or several intervals. The location is then ambiguous, and the result
-reports the ambiguity. chi2 at the tip tests the assumption of a tip load. A tip load exceeds `CHI_SQUARE_999_THREE_DOF`
-only once in a thousand evaluations, because of noise.
+reports the ambiguity. chi2 at the tip tests the assumption of a tip load. With a true tip load, noise lets chi2 exceed
+`CHI_SQUARE_999_THREE_DOF` only once in a thousand evaluations.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,7 @@ CHI_SQUARE_999_THREE_DOF = 16.266
 MIN_FORCE_N = 0.05
 #: Largest total length of the confidence intervals of a located contact [m].
 MAX_INTERVAL_M = 0.040
-#: Spacing of the first search grid along the shaft [m]; golden sections then refine the minimum of chi square.
+#: Spacing of the first search grid along the shaft [m], before the minimum of chi square is refined.
 GRID_SPACING_M = 0.005
 #: Standard deviation of each component of the model's shaft position [m].
 SHAPE_STD_M = 0.3e-3
@@ -82,7 +82,7 @@ def locate_contact(statics: Statics, joints: Array, load: FusedLoad, noise: Nois
     if float(np.linalg.norm(load.force)) < MIN_FORCE_N:
         return None
     robot = statics.robot
-    length = float(robot.tube_poses(joints)[1][0]) + robot.tubes[0].length
+    length = max(float(robot.tube_ends(joints).max()), 0.0)  # a retracted tip: outer tubes reach beyond it
     grid = np.linspace(0.0, length, max(8, round(length / GRID_SPACING_M)) + 1)
     search = _Search(statics, joints, load, noise)
     values = np.array([search.chi2(s) for s in grid])
@@ -93,9 +93,7 @@ def locate_contact(statics: Statics, joints: Array, load: FusedLoad, noise: Nois
     total = sum(end - start for start, end in intervals)
     note = ""
     if total > MAX_INTERVAL_M:
-        note = (
-            f"the force acts along the shaft, or its line crosses the shaft more than once: {contact_spans(intervals)}"
-        )
+        note = f"the force is along the shaft, or its line meets the shaft more than once: {contact_spans(intervals)}"
     return ContactLocation(s, search.point(s), intervals, least, total <= MAX_INTERVAL_M, note)
 
 
@@ -113,7 +111,7 @@ class _Search:
         self._near: Solution | None = None
 
     def point(self, s: float) -> Array:
-        """Return the position (3,) [m] of the loaded shaft at arc length `s` [m], with the force there."""
+        """Return the position (3,) [m] of the shaft at arc length `s` [m], loaded with the force at this position."""
         try:
             self._near = self._statics.solve(self._joints, self._wrench, self._near, s)
         except CtrError:
@@ -128,20 +126,11 @@ class _Search:
         return float(closure @ np.linalg.solve(_covariance(point, self._load.force, self._noise), closure))
 
     def refine(self, start: float, end: float) -> float:
-        """Return the arc length of the minimum between two arc lengths, to 0.05 mm, by golden sections."""
-        golden = 0.6180339887498949
-        low, high = end - golden * (end - start), start + golden * (end - start)
-        at_low, at_high = self.chi2(low), self.chi2(high)
-        while end - start > 5e-5:
-            if at_low < at_high:
-                end, high, at_high = high, low, at_low
-                low = end - golden * (end - start)
-                at_low = self.chi2(low)
-            else:
-                start, low, at_low = low, high, at_high
-                high = start + golden * (end - start)
-                at_high = self.chi2(high)
-        return 0.5 * (start + end)
+        """Return the arc length of the minimum between two arc lengths, to 0.05 mm."""
+        from scipy.optimize import minimize_scalar  # pyright: ignore  - slow to import
+
+        found: Any = minimize_scalar(self.chi2, bounds=(start, end), method="bounded", options={"xatol": 2.5e-5})
+        return float(found.x)
 
     def intervals(self, grid: Array, values: Array, s: float, least: float) -> tuple[tuple[float, float], ...]:
         """Return the arc length intervals in which chi square is below its minimum + `CHI_SQUARE_95_ONE_DOF`."""

@@ -1,15 +1,15 @@
 """Comparison of externally measured poses with the model: with the robot file's values, fitted frames, or fitted tubes.
 
-The fit is that of `prediction`, with these differences:
+The fit is the one of `prediction`, with these differences:
 
 * The measurement noise is unknown. The fit is repeated with the residual of the last fit as standard deviation of each
   axis, until residual and standard deviation agree. Priors then have the right weight even if the model itself is
   inaccurate.
 * Poses whose neighbours have similar errors (`neighbour_correlation`) count as fewer poses.
-* The fit excludes outliers, for example poses at which the tubes snapped to another shape, and measurement mistakes.
+* The fit excludes outliers, for example measurement mistakes and poses at which the tubes snapped to another shape.
 * The measured point may be centimetres from the tip.
-* A joint may lag by much more than a drive's play, because friction between the tubes winds the tubes up. With the
-  extent `friction` the fit includes a wind-up of each tube, computed from the order of the poses (`residual.wind_ups`).
+* A joint may lag by much more than a drive's play, because friction twists the tubes. With the extent `friction` the
+  fit includes a wind-up of each tube, computed from the order of the poses (`residual.wind_ups`).
 
 The fit includes only parameters that the poses can determine (`fit_parameters`). `Fit.weak` lists the parameter
 combinations that the poses do not determine.
@@ -18,24 +18,33 @@ combinations that the poses do not determine.
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.calibration.fit import Fit, Parameter, UnobservableCombination, fit
+from core.calibration.fit import MAX_STEPS, Fit, Parameter, UnobservableCombination, fit
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Lag, NoEquilibrium, Prediction, predict
-from core.calibration.quantities import Quantity, quantities
+from core.calibration.quantities import MIN_TUBE_DISTANCE_M, Quantity, end_distances, quantities
 from core.calibration.registration import closed_form
-from core.calibration.residual import Windup, relative_rotations, turned_tubes
+from core.calibration.residual import (
+    PoseErrors,
+    Windup,
+    direction_states,
+    fit_residual,
+    predict_residual,
+    relative_rotations,
+    turned_tubes,
+)
 from core.calibration.rigid_transform import RigidTransform, cross_matrix
 from core.calibration.tubes import MIN_LOADED_MEASUREMENTS
+from core.control.tip_residual import TipResidual
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 
-Extent = Literal["none", "frames", "tubes", "friction"]
+Extent = Literal["none", "frames", "tubes", "friction", "residual"]
 
 #: Standard deviation of the prior of the measured point's offset from the tip, in each axis [m].
 POINT_OFFSET_STD_M = 0.030
@@ -45,6 +54,8 @@ LAG_PRIOR = {"rad": 0.05, "m": 1e-3}
 FIRST_POINT_STD_M, MIN_POINT_STD_M = 0.5e-3, 1e-6
 #: Largest number of repetitions of the fit, and relative change of the estimated noise at which they stop.
 MAX_ROUNDS, MAX_RELATIVE_CHANGE = 8, 0.05
+#: Largest number of steps in a repetition, which starts from the values of the round before.
+MAX_REPEATED_STEPS = 12
 #: Upper bound of the correlation between the errors of neighbouring poses.
 MAX_CORRELATION = 0.9
 #: Poses with errors above `OUTLIER_RATIO` times the median error are outliers, unless more than the fraction
@@ -52,8 +63,6 @@ MAX_CORRELATION = 0.9
 OUTLIER_RATIO, MAX_OUTLIER_SHARE = 4.0, 0.1
 #: Smallest tip force that counts as a load [N].
 MIN_LOAD_N = 0.05
-#: Smallest distance of a tube's end from its neighbours' ends at which the tube's length and lag are fitted [m].
-MIN_TUBE_DISTANCE_M = 1.5e-3
 #: A joint counts as reversed if it moves back by more than this fraction of its range in the data.
 MIN_REVERSAL_SHARE = 2e-3
 #: An alternative interpretation of the joint values is reported if its mean error is below this fraction of the mean
@@ -61,6 +70,11 @@ MIN_REVERSAL_SHARE = 2e-3
 MAX_ALTERNATIVE_ERROR_RATIO = 0.5
 #: Number of poses on which alternative interpretations of the joint values are tested.
 ALTERNATIVE_SAMPLE_SIZE = 200
+#: A tip counts as stationary if its median distance from its middle is below this fraction of the model tip's.
+STILL_TIP_RATIO = 0.1
+#: Median error with the best frames, as a fraction of the points' median distance from their middle, above which the
+#: points have no relation to the joints: frames fitted to few unrelated points reach about 0.8.
+MAX_UNRELATED_ERROR = 0.6
 
 
 class FitParameters(NamedTuple):
@@ -93,7 +107,7 @@ class ErrorStatistics(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseFit:
-    """The model after a fit to poses with one extent (`none`, `frames`, `tubes` or `friction`)."""
+    """The model after a fit to poses with one extent."""
 
     extent: Extent
     robot: Robot
@@ -106,20 +120,44 @@ class PoseFit:
     fit: Fit | None  #: result of the fit; None: nothing was fitted
     fitted: tuple[bool, ...]  #: whether the fit used each pose
     middle: Array  #: (3,) centre of the fitted rotation, robot's frame [m]
+    learned: TipResidual | None = None  #: learned residual; None: not fitted, or it predicts nothing
 
     def errors(self, measurements: Sequence[Measurement], forces: Array) -> Array:
         """Return measured minus predicted points (m, 3), robot's frame [m], of any poses under tip forces (m, 3) [N].
 
         Rows are NaN where this model has no shape.
         """
-        return _errors(self.robot, self.frames, self.plays, self.half_lags, measurements, forces)
+        found = _errors(self.robot, self.frames, self.plays, self.half_lags, measurements, forces)
+        return found - predict_residual(self.learned, self.pose_errors(measurements, forces, found))[0]
+
+    def pose_errors(
+        self, measurements: Sequence[Measurement], forces: Array, errors: Array,
+        trajectories: NDArray[np.int64] | None = None,
+    ) -> PoseErrors:  # fmt: skip
+        """Return errors (m, 3) [m] at poses together with the quantities that predict them."""
+        history = [measurement.path for measurement in measurements if measurement.path is not None]
+        directions = direction_states(self.robot, np.array(history)) if len(history) == len(measurements) else None
+        joints = np.array([measurement.joints for measurement in measurements])
+        if trajectories is None:
+            trajectories = np.zeros(len(joints), dtype=np.int64)
+        return PoseErrors(self.robot, joints, directions, forces, errors, trajectories)
+
+    def with_residual(
+        self, measurements: Sequence[Measurement], forces: Array, trajectories: NDArray[np.int64]
+    ) -> "PoseFit":
+        """Return this fit with the residual learned from its errors at poses; outliers are left out."""
+        errors = self.errors(measurements, forces)
+        lengths = np.linalg.norm(errors, axis=1)
+        errors[~(lengths <= OUTLIER_RATIO * np.nanmedian(lengths))] = math.nan
+        learned = fit_residual(self.pose_errors(measurements, forces, errors, trajectories))
+        return replace(self, extent="residual", learned=learned)
 
     @property
     def position_errors(self) -> Array:
         """Standard deviations (3,) of the registration's position [m].
 
         The fit's standard deviations apply at the middle of the measured points. At the origin of the points' frame,
-        the error of the rotation adds to these, in proportion to the distance of the origin from this middle.
+        the rotation error adds to them, in proportion to the origin's distance from this middle.
         """
         if self.fit is None:
             return np.zeros(3)
@@ -198,7 +236,7 @@ def fit_poses(
             robot, what, near, forces[kept], Noise(coil=noise), start, POINT_OFFSET_STD_M, requested.lags, windups
         )
         try:
-            found = fit(problem, problem.parameters, values)
+            found = fit(problem, problem.parameters, values, MAX_STEPS if values is None else MAX_REPEATED_STEPS)
         except NoEquilibrium as error:
             # Near a snap, tubes with slightly different parameters may have no shape at this pose: omit the pose.
             unsolvable[used[error.measurement]] = True
@@ -241,7 +279,7 @@ def neighbour_correlation(joints: Array, errors: Array) -> float:
     """Return the correlation of errors (m, 3) with those at the nearest other joints (m, n), 0 ... `MAX_CORRELATION`.
 
     Measurement noise is not correlated between poses; model errors are. With correlation r, m successive errors have
-    the information of m (1 - r) / (1 + r) independent ones.
+    as much information as m (1 - r) / (1 + r) independent errors.
     """
     scaled = joints / np.maximum(np.ptp(joints, axis=0), 1e-12)
     power = float(np.sum(errors * errors))
@@ -255,6 +293,46 @@ def neighbour_correlation(joints: Array, errors: Array) -> float:
     return float(np.clip(np.sum(errors * errors[nearest]) / power, 0.0, MAX_CORRELATION))
 
 
+def check_tip_moves(robot: Robot, measurements: Sequence[Measurement], forces: Array) -> None:
+    """Reject points that stay in one place although the joints move the model's tip.
+
+    Raises:
+        UnobservableCombination: the points do not move; the text states how far points, joints and model move.
+
+    """
+    points = np.array([measurement.coil for measurement in measurements])
+    joints = np.array([measurement.joints for measurement in measurements])
+    tips = predict(robot, measurements, forces).tip
+    measured, expected = _spread(points), _spread(tips[np.isfinite(tips).all(axis=1)])
+    if measured >= STILL_TIP_RATIO * expected:
+        return
+    travels: list[float] = np.ptp(joints, axis=0).tolist()
+    moved = ", ".join(
+        f"{joint.name} {math.degrees(travel):.0f} deg" if joint.unit == "rad" else f"{joint.name} {1e3 * travel:.3g} mm"
+        for joint, travel in zip(robot.joints, travels, strict=True)
+    )
+    raise UnobservableCombination(
+        f"the tip does not move: half of {len(points)} measured tips are within {1e3 * measured:.3g} mm of their"
+        f" middle, but the model's tips are within {1e3 * expected:.3g} mm (the joints move: {moved}). Does the tracker"
+        " measure the robot's tip, do the tip's columns contain it in metres, and do rows belong to their joints?"
+    )
+
+
+def follows_model(found: PoseFit, measurements: Sequence[Measurement], forces: Array) -> bool:
+    """Return whether the errors are below `MAX_UNRELATED_ERROR` times the points' distances from their middle."""
+    spread = _spread(np.array([measurement.coil for measurement in measurements]))
+    return _median_length(found.errors(measurements, forces)) < MAX_UNRELATED_ERROR * spread
+
+
+def _spread(points: Array) -> float:
+    """Return the median distance of points (m, 3) from their middle [m]."""
+    return _median_length(points - np.median(points, axis=0))
+
+
+def _median_length(vectors: Array) -> float:
+    return float(np.nanmedian(np.linalg.norm(vectors, axis=1)))
+
+
 def fit_parameters(
     robot: Robot,
     measurements: Sequence[Measurement],
@@ -265,18 +343,17 @@ def fit_parameters(
 ) -> FitParameters:
     """Return the parameters that a fit to `measurements` under tip forces (m, 3) [N] can determine.
 
-    Fitted values of these parameters also keep the poses `others` valid.
-    Without load the poses determine only ratios of stiffness, so the outermost tube's stiffness is fixed. A tube that
-    ends flush with a neighbour in some pose keeps its total length, because that pose measures that the ends coincide;
-    only the start of the tube's curve is fitted. The lag of such a tube's translation is not fitted
-    either.
+    Fitted values of these parameters also keep the poses `others` valid. Without load the poses determine only ratios
+    of stiffness, so the outermost tube's stiffness is fixed. A tube that ends flush with a neighbour in some pose keeps
+    its total length, because this pose shows that the ends coincide; only the start of the tube's curve is fitted. The
+    lag of such a tube's translation is not fitted, either.
     """
     kept: list[Quantity] = []
     lags: list[Lag] = []
     omitted: list[str] = []
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > MIN_LOAD_N))
-    distances = _tube_distances(robot, (*measurements, *others))
-    for quantity in quantities(robot):
+    joints = [measurement.joints for measurement in (*measurements, *others)]
+    for quantity in quantities(robot, joints):
         if quantity.kind == "end":
             continue  # few poses determine the effective end of an outer tube, and other models lack this parameter
         name = quantity.parameter(robot).name.replace("_", " ")
@@ -287,26 +364,27 @@ def fit_parameters(
         ):
             omitted.append(
                 f"{name}: {loaded} poses under more than {MIN_LOAD_N:g} N; without load the poses determine only"
-                " ratios of stiffness, so the outermost tube's is fixed at its description"
-            )
-        elif quantity.kind == "straight_length" and distances[quantity.tube] < MIN_TUBE_DISTANCE_M:
-            kept.append(Quantity(quantity.tube, "curve_start"))
-            omitted.append(
-                f"{name}: in some pose the tube's end is within {1e3 * MIN_TUBE_DISTANCE_M:g} mm of its neighbour's;"
-                " its total length is fixed, and the start of its curve is fitted"
+                " ratios of stiffness, so the outermost tube keeps the stiffness of the robot file"
             )
         elif quantity.kind != "poisson_ratio":
             kept.append(quantity)
+        if quantity.kind == "curve_start":
+            omitted.append(
+                f"{robot.tubes[quantity.tube].name} straight length: in some pose the tube's end is within"
+                f" {1e3 * MIN_TUBE_DISTANCE_M:g} mm of its neighbour's; its total length is fixed, and the start of"
+                " its curve is fitted"
+            )
     # The torsional stiffness replaces Poisson's ratio as fit parameter.
     kept += [Quantity(tube, "torsional_stiffness") for tube in range(len(robot.tubes))]
+    distances = np.minimum(end_distances(robot, joints), _start_distances(robot, joints))
     for k, joint in enumerate(robot.joints) if hysteresis else ():
         came = np.array([0.0 if measurement.came is None else measurement.came[k] for measurement in measurements])
         if not ((came > 0.0).any() and (came < 0.0).any()):
             omitted.append(f"lag of {joint.name}: the joint did not approach poses from both sides")
         elif joint.motion == "translation" and distances[joint.tube] < MIN_TUBE_DISTANCE_M:
             omitted.append(
-                f"lag of {joint.name}: in some pose the tube is within {1e3 * MIN_TUBE_DISTANCE_M:g} mm of its"
-                f" neighbour's end"
+                f"lag of {joint.name}: in some pose the tube is within {1e3 * MIN_TUBE_DISTANCE_M:g} mm of the plate or"
+                " of its neighbour's end"
             )
         else:
             lags.append(Lag(k, LAG_PRIOR[joint.unit]))
@@ -340,10 +418,9 @@ def arrival_directions(joints: Array) -> Array:
 def alternative_readings(
     robot: Robot, measurements: Sequence[Measurement], forces: Array
 ) -> tuple[tuple[str, float, float], ...]:
-    """Return interpretations of the rotations that fit much better: text, and mean error with and without it [m].
+    """Return interpretations of the rotations that fit much better: text, its mean error, mean error as given [m].
 
-    The function tests reversed axes, and rotations given in degrees instead of radians, each with a fit of the frames
-    only.
+    The function tests reversed axes, and rotations in degrees instead of radians, each with a fit of the frames only.
     """
     some: list[int] = np.unique(
         np.linspace(0, len(measurements) - 1, min(ALTERNATIVE_SAMPLE_SIZE, len(measurements))).astype(int)
@@ -379,19 +456,8 @@ def _mean_error(robot: Robot, measurements: Sequence[Measurement], forces: Array
         return math.inf
 
 
-def _tube_distances(robot: Robot, measurements: Sequence[Measurement]) -> Array:
-    """Return the smallest distance (q,) of each tube's ends from its neighbours' ends, over all measurements [m]."""
-    least = np.full(len(robot.tubes), math.inf)
-    lengths = np.array([tube.length for tube in robot.tubes])
-    for measurement in measurements:
-        _, beta = robot.tube_poses(measurement.joints)
-        ends = np.minimum(np.abs(np.diff(beta + lengths)), _neighbour_distances(np.abs(np.diff(beta)), robot))
-        least[:-1], least[1:] = np.minimum(least[:-1], ends), np.minimum(least[1:], ends)
-    return least
-
-
-def _neighbour_distances(starts: Array, robot: Robot) -> Array:
-    """Return the distances `starts` of proximal ends [m]; inf between two tubes without translation joints."""
-    slides = {joint.tube for joint in robot.joints if joint.motion == "translation"}
-    fixed = [i not in slides and i + 1 not in slides for i in range(len(starts))]
-    return np.where(fixed, math.inf, starts)
+def _start_distances(robot: Robot, joints: Sequence[Array]) -> Array:
+    """Return the smallest distance (q,) of each tube's proximal end from its neighbours' ends and the plate [m]."""
+    starts = np.array([np.append(robot.tube_poses(pose)[1], 0.0) for pose in joints])
+    apart = np.abs(np.diff(starts, axis=1)).min(axis=0)
+    return np.minimum(np.append(math.inf, apart[:-1]), apart)

@@ -8,7 +8,7 @@ therefore never reported as measured.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -21,6 +21,9 @@ from core.robot.robot import Array
 MAX_OPEN_SHARE = 0.5
 #: Two-sided 95 % quantile of the normal distribution, for confidence intervals.
 NORMAL_QUANTILE_95 = 1.959964
+
+#: Largest number of steps of a fit.
+MAX_STEPS = 60
 
 
 class UnobservableCombination(CtrError):
@@ -70,6 +73,9 @@ class Fit:
     values: Array  #: (p,) fitted values of the parameters
     residuals: Array  #: (m,) residuals of the data, in standard deviations
     jacobian: Array  #: (m, p) derivative of the residuals by the parameters at the solution
+    #: (p, p) covariance of the parameters from errors of the model, which explain the residuals beyond the noise; None:
+    #: larger residuals count as larger noise
+    systematic: Array | None = None
 
     @cached_property
     def variance_factor(self) -> float:
@@ -79,12 +85,32 @@ class Fit:
     @cached_property
     def covariance(self) -> Array:
         """Covariance of the parameters (p, p), from data and priors; larger if the residuals exceed the noise."""
+        excess = max(self.variance_factor, 1.0) if self.systematic is None else 1.0
         size = np.array([p.size for p in self.parameters])
         scaled = self.jacobian * size
         prior = np.diag([(p.size / p.prior) ** 2 for p in self.parameters])
-        information = scaled.T @ scaled / max(self.variance_factor, 1.0) + prior
+        information = scaled.T @ scaled / excess + prior
         inverse: Array = np.asarray(np.linalg.pinv(information, rcond=1e-14, hermitian=True), dtype=np.float64)
-        return inverse * np.outer(size, size)
+        noise = inverse * np.outer(size, size)
+        return noise if self.systematic is None else noise + self.systematic
+
+    def with_model_errors(self, sensitivity: Array, sizes: Array) -> "Fit":
+        """Return the fit with covariances for errors of k model parameters that were not fitted.
+
+        Args:
+            sensitivity: derivative of the residuals by the k parameters (m, k).
+            sizes: expected errors of the k parameters (k,); the residuals beyond the noise set their common scale.
+
+        """
+        if self.variance_factor <= 1.0:
+            return self
+        rows = np.vstack((self.jacobian, np.diag([1.0 / parameter.prior for parameter in self.parameters])))
+        errors = np.vstack((sensitivity * sizes, np.zeros((len(self.parameters), sizes.size))))
+        response = np.asarray(np.linalg.lstsq(rows, -errors, rcond=1e-12)[0], dtype=np.float64)
+        left = (errors + rows @ response)[: self.residuals.size]
+        freedom = max(self.residuals.size - self.values.size, 1)
+        scale = (self.variance_factor - 1.0) * freedom / max(float(np.sum(left * left)), 1e-300)
+        return replace(self, systematic=scale * response @ response.T)
 
     @property
     def errors(self) -> Array:
@@ -123,7 +149,9 @@ def weak_combinations(jacobian: Array, parameters: Sequence[Parameter]) -> tuple
     return tuple(found)
 
 
-def fit(problem: FitProblem, parameters: Sequence[Parameter], start: Array | None = None) -> Fit:
+def fit(
+    problem: FitProblem, parameters: Sequence[Parameter], start: Array | None = None, max_steps: int = MAX_STEPS
+) -> Fit:
     """Minimise the squared residuals and priors from `start` (p,); None: from zero.
 
     If the model has no shape at the parameters of a step, the step is shortened.
@@ -154,7 +182,7 @@ def fit(problem: FitProblem, parameters: Sequence[Parameter], start: Array | Non
     found: Any = cast(Any, least_squares)(
         residuals, initial, jacobian,
         bounds=(lower, upper), x_scale=[p.size for p in parameters],
-        xtol=1e-9, ftol=1e-10, gtol=1e-10, max_nfev=60,
+        xtol=1e-9, ftol=1e-10, gtol=1e-10, max_nfev=max_steps,
     )  # fmt: skip
     values = np.asarray(found.x, dtype=np.float64)
     return Fit(tuple(parameters), values, problem.residuals(values), problem.jacobian(values))

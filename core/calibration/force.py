@@ -6,10 +6,13 @@ Sensor i is slightly misaligned (R_i) and carries parts of weight W_i with centr
 
 where b_i and d_i are the sensor's offset and drift, w_i the wrench of the tube, S_i (6, 6) the gain and cross-talk
 errors, and e the direction of gravity. Every w_i contains unknown wrenches between the tubes, so a single sensor cannot
-be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load: zero, a known
-weight W at the tip r with the moment r x W e, or an unknown force F at the tip, for which only the moment equation M =
-r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
+be calibrated on a robot. These wrenches cancel in the sum over the sensors. The sum must equal the load. The load is
+zero, or a known weight W at the tip r with the moment r x W e, or an unknown force F at the tip, for which only the
+moment equation M = r x F is used. Parameter combinations that do not change the sum (for example axial offsets of
 opposite sign in two sensors) do not affect the load. `Fit.weak` lists these combinations.
+
+A single sensor under the whole robot measures the sum itself. Its reading contains the weights g_i of all tubes, whose
+centres turn and slide with the tubes.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +27,7 @@ from core.calibration.measurements import Measurement, Noise
 from core.calibration.rigid_transform import rotation_from_vector
 from core.compiled import compiled
 from core.control.sensors import FusedLoad, Sensors, exerted, fuse_at, fused_at
-from core.robot.robot import Array, Layout, Robot, tube_poses
+from core.robot.robot import Array, Layout, Robot
 
 #: Priors (one standard deviation) and tolerances (largest error that does not matter) of each parameter.
 OFFSET_PRIOR, OFFSET_TOLERANCE = (2.0, 30e-3), (5e-3, 0.2e-3)  # [N], [N m]
@@ -47,16 +50,15 @@ class SensorCalibration(NamedTuple):
     """Estimated parameters of the sensors."""
 
     sensors: Sensors
-    offset: Array  #: (q, 6) offset of the readings at `time` [N, N m]
-    drift: Array  #: (q, 6) rate of the offset [N/s, N m/s]
+    offset: Array  #: (s, 6) offset of the readings at `time` [N, N m]
+    drift: Array  #: (s, 6) rate of the offset [N/s, N m/s]
     time: float  #: time at which the offset is valid [s]
     fit: Fit
 
     def load(self, robot: Robot, measurement: Measurement) -> FusedLoad:
         """Return the load of the whole robot at a measurement, world frame."""
         readings = measurement.wrenches - self.offset - (measurement.time - self.time) * self.drift
-        alpha, _ = robot.tube_poses(measurement.joints)
-        return fuse_at(robot, measurement.joints, self.sensors.exerted(readings, alpha))
+        return fuse_at(robot, measurement.joints, self.sensors.exerted(robot, measurement.joints, readings))
 
 
 class WeightCheck(NamedTuple):
@@ -131,23 +133,24 @@ class _Sum:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         found: list[Parameter] = []
-        for tube in self.robot.tubes:
+        for name in self.robot.sensor_names:
             for what, sizes, priors, per in (
                 ("offset", OFFSET_TOLERANCE, OFFSET_PRIOR, ""),
                 ("drift", DRIFT_TOLERANCE, DRIFT_PRIOR, "/s"),
             ):
-                for name, unit, size, prior in zip(("force", "moment"), ("N", "N m"), sizes, priors, strict=True):
-                    found += [Parameter(f"{tube.name} {name} {what} {a}", unit + per, size, prior) for a in "xyz"]
+                for load, unit, size, prior in zip(("force", "moment"), ("N", "N m"), sizes, priors, strict=True):
+                    found += [Parameter(f"{name} {load} {what} {a}", unit + per, size, prior) for a in "xyz"]
             found += [
-                Parameter(f"{tube.name} mounting {a}", "rad", MOUNTING_TOLERANCE_RAD, MOUNTING_PRIOR_RAD) for a in "xyz"
+                Parameter(f"{name} mounting {a}", "rad", MOUNTING_TOLERANCE_RAD, MOUNTING_PRIOR_RAD) for a in "xyz"
             ]
-            found.append(Parameter(f"{tube.name} weight", "N", WEIGHT_TOLERANCE_N, WEIGHT_PRIOR_N))
+            for tube in (name,) if name != "robot" else [tube.name for tube in self.robot.tubes]:
+                found.append(Parameter(f"{tube} weight", "N", WEIGHT_TOLERANCE_N, WEIGHT_PRIOR_N))
+                found += [
+                    Parameter(f"{tube} first moment {a}", "N m", FIRST_MOMENT_TOLERANCE_NM, FIRST_MOMENT_PRIOR_NM)
+                    for a in "xyz"
+                ]
             found += [
-                Parameter(f"{tube.name} first moment {a}", "N m", FIRST_MOMENT_TOLERANCE_NM, FIRST_MOMENT_PRIOR_NM)
-                for a in "xyz"
-            ]
-            found += [
-                Parameter(f"{tube.name} {to} of {by}", per, GAIN_TOLERANCE * scale, GAIN_PRIOR * scale)
+                Parameter(f"{name} {to} of {by}", per, GAIN_TOLERANCE * scale, GAIN_PRIOR * scale)
                 for to, by, per, scale in _axes()
             ]
         return tuple(found)
@@ -158,12 +161,12 @@ class _Sum:
         return float(np.mean([measurement.time for measurement in self.measurements]))
 
     def unpacked(self, values: Array) -> tuple[Sensors, Array, Array]:
-        """Return sensors, offset (q, 6) and drift (q, 6) for parameters (p,)."""
-        rows = values.reshape(len(self.robot.tubes), -1)
+        """Return sensors, offset (s, 6) and drift (s, 6) for parameters (p,)."""
+        rows = values.reshape(len(self.robot.sensor_names), -1)
         mounting = np.array([rotation_from_vector(row[12:15]) for row in rows])
         gravity = self.robot.base.rotation.T @ self.down
-        skew = rows[:, 19:].reshape(-1, 6, 6)
-        sensors = Sensors(mounting, rows[:, 15].copy(), rows[:, 16:19].copy(), gravity, skew)
+        skew, hanging = rows[:, -36:].reshape(-1, 6, 6), rows[:, 15:-36].reshape(-1, 4)
+        sensors = Sensors(mounting, hanging[:, 0].copy(), hanging[:, 1:].copy(), gravity, skew)
         return sensors, rows[:, :6], rows[:, 6:12]
 
     def residuals(self, values: Array) -> Array:
@@ -198,7 +201,7 @@ class _Sum:
 
     @cached_property
     def _measured(self) -> tuple[Array, Array, Array]:
-        """Times relative to `middle` (m,), joints (m, n) and readings (m, q, 6) of all measurements."""
+        """Times relative to `middle` (m,), joints (m, n) and readings (m, s, 6) of all measurements."""
         return (
             np.array([measurement.time for measurement in self.measurements]) - self.middle,
             np.array([measurement.joints for measurement in self.measurements]),
@@ -234,9 +237,9 @@ def _axes() -> Iterator[tuple[str, str, str, float]]:
 def _loads(
     layout: Layout, joints: Array, readings: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array
 ) -> Array:
-    """Return force and moment (m, 6) of the whole robot, world frame, from readings (m, q, 6) without offset."""
+    """Return force and moment (m, 6) of the whole robot, world frame, from readings (m, s, 6) without offset."""
     result = np.empty((joints.shape[0], 6))
     for k in range(joints.shape[0]):
-        alpha, _, _ = tube_poses(layout, joints[k])
-        result[k] = fused_at(layout, joints[k], exerted(readings[k], alpha, matrix, weight, first_moment, gravity))
+        wrenches = exerted(layout, joints[k], readings[k], matrix, weight, first_moment, gravity)
+        result[k] = fused_at(layout, joints[k], wrenches)
     return result

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.control.sensors import fuse_at
-from core.robot.robot import Array, Robot
+from core.robot.robot import Array
 
 
 class Measurement(NamedTuple):
@@ -14,7 +13,7 @@ class Measurement(NamedTuple):
     time: float  #: time of the middle of the averaged data [s]
     joints: Array  #: (n,) positions that the stages report [rad or m]
     coil: Array  #: (3,) position of the coil in the tracker's frame [m]
-    wrenches: Array  #: (q, 6) untared readings of the base sensors in their axes [N, N m]
+    wrenches: Array  #: (s, 6) untared readings of the base sensors in their axes [N, N m]
     weight: float | None  #: known weight at the tip [N]; 0: no load; None: unknown load
     came: Array | None = None  #: (n,) direction of each joint's last motion (-1, 0, 1), for the backlash
     axes: Array | None = None  #: (1, 3) or (3, 3) directions of the coil, tracker's frame: its axis, or x, y, z
@@ -37,8 +36,3 @@ class Noise(NamedTuple):
 def stacked(measurements: list[Measurement]) -> tuple[Array, Array]:
     """Return the joints (m, n) and coil positions (m, 3) of measurements as arrays."""
     return np.array([v.joints for v in measurements]), np.array([v.coil for v in measurements])
-
-
-def fused_forces(robot: Robot, measurements: list[Measurement]) -> Array:
-    """Return the load at the tip (m, 3) of tared measurements, world frame [N]."""
-    return np.array([fuse_at(robot, v.joints, v.wrenches).force for v in measurements])

@@ -13,10 +13,11 @@ import numpy as np
 
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction, predict
-from core.calibration.quantities import Quantity
+from core.calibration.quantities import MIN_TUBE_DISTANCE_M, Quantity, end_distances
 from core.calibration.rigid_transform import RigidTransform
 from core.errors import CtrError, Unreachable
 from core.model.batch import solve_many
+from core.model.fold import margin_of_worst_tubes
 from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import Configuration, Limits
@@ -28,10 +29,9 @@ T = TypeVar("T")
 HALF_TURN_RAD = np.pi
 #: Fraction of each joint's travel that candidate poses leave unused at both ends.
 TRAVEL_MARGIN = 0.03
-#: Smallest margin of elastic stability of a candidate pose.
-MIN_STABILITY = 0.25
-#: Smallest distance between the distal ends of neighbouring tubes [m].
-MIN_TUBE_DISTANCE_M = 1.5e-3
+#: Tubes whose curvature and stiffness differ by this share from their description must not snap: before the calibration
+#: they are not known better.
+TUBE_UNCERTAINTY = 0.1
 #: Number of checked poses on the path between two measurements.
 PATH_STEPS = 12
 
@@ -63,12 +63,18 @@ def feasible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Fl
 
     Ends of neighbouring tubes keep a distance, so that poses stay valid when a fit changes lengths, zeros and plays.
     """
-    can = np.array([_is_solvable(limits.check, joints) and _tubes_apart(statics.robot, joints) for joints in poses])
+    rows, bound = limits.order  # required even if the robot may retract its tip: a retracted tip is out of sight
+    can = np.array([
+        bool((rows @ joints <= bound).all())
+        and _is_solvable(limits.check, joints)
+        and _tubes_apart(statics.robot, joints)
+        for joints in poses
+    ])  # fmt: skip
     travel = poses[can]
     solved = solve_many(statics, travel, np.tile(pure_force(force), (len(travel), 1)))
     can[can] = [
         solved.ok[k]
-        and solved.stability[k] > MIN_STABILITY
+        and margin_of_worst_tubes(statics, solved.at(k), travel[k], TUBE_UNCERTAINTY)[1] > 0.0
         and all(_is_solvable(limit.check, at) for limit in limits.others)
         for k, at in enumerate(map(Configuration, travel, solved.jacobian[:, :3], solved.tip, [force] * len(travel)))
     ]
@@ -76,9 +82,12 @@ def feasible(statics: Statics, limits: Limits, poses: Array, force: Array) -> Fl
 
 
 def _tubes_apart(robot: Robot, joints: Array) -> bool:
-    """Return whether every tube ends more than `MIN_TUBE_DISTANCE_M` beyond its outer neighbour."""
-    ends = robot.tube_poses(joints)[1] + np.array([tube.length for tube in robot.tubes])
-    return bool((ends[:-1] - ends[1:] > MIN_TUBE_DISTANCE_M).all())
+    """Return whether tubes that slide end more than `MIN_TUBE_DISTANCE_M` from their neighbours' ends.
+
+    Ends of fixed tubes stay where they are; `quantities` keeps them flush.
+    """
+    here, always = end_distances(robot, [joints]), end_distances(robot, ())
+    return bool(((here > MIN_TUBE_DISTANCE_M) | (here >= always)).all())
 
 
 def _is_solvable(check: Callable[[T], None], what: T) -> bool:
@@ -108,7 +117,7 @@ def select_poses(
         Indices (count,) in order of selection, and the information matrix (p, p) of all poses together.
 
     """
-    empty = np.zeros((len(robot.tubes), 6))
+    empty = np.zeros((len(robot.sensor_names), 6))
     weight = None if force.any() else 0.0
     measurements = [Measurement(0.0, joints, np.zeros(3), empty, weight) for joints in poses]
     frames = Frames(RigidTransform(np.eye(3), np.zeros(3)), np.zeros(3), np.zeros(3))
@@ -144,8 +153,8 @@ def expected_measurements(robot: Robot, measurements: Sequence[Measurement], for
 def order_poses(statics: Statics, limits: Limits, start: Array, poses: Array, force: Array) -> Array:
     """Return poses (m, n) in an order of short paths from `start` (n,), each path inside the limits.
 
-    A pose that cannot be reached straight from the current one is deferred. A pose that cannot be reached from any
-    other is omitted.
+    A pose that cannot be reached straight from the current pose is deferred. Poses that cannot be reached from any
+    other pose are omitted.
 
     Raises:
         Unreachable: no pose can be reached.

@@ -1,4 +1,4 @@
-"""Predicted tracker measurements as a function of frames and tubes; all calibration fits use their residuals.
+"""Predicted tracker measurements as a function of frames and tubes; the fits of frames and tubes use their residuals.
 
     e_k = R p_k + t - (x(q_k, F_k; tubes) + A(q_k, F_k; tubes) c)
 
@@ -8,9 +8,9 @@ about the middle of the visited points, which decouples rotation and translation
 adds the residual R a_k - A d for each direction d in the tip's frame.
 
 A joint whose drive has play (backlash) lags by half of the play: q_k is the stage's position minus half the play times
-the direction of the joint's last motion (`Measurement.came`). Where `came` is known, a fit of tubes also fits the plays
-of all joints, unless `lags` selects other joints; a play that is not fitted adds to the noise. Tubes with friction lag
-by their wind-up (`residual.wind_ups`), which needs `Measurement.path`.
+the direction of the joint's last motion (`Measurement.came`). If `came` is known, a fit of tubes also fits the plays of
+all joints, or of those in `lags`. A play that is not fitted adds to the noise. Tubes with friction lag by their wind-up
+(`residual.wind_ups`), which is computed from `Measurement.path`.
 
 An error of the measured load moves the model's tip through the compliance C. With the standard deviations sigma_p of
 the coil's position and sigma_F of the force, the covariance of a residual is sigma_p^2 1 + sigma_F^2 C C^T.
@@ -29,11 +29,14 @@ from core.calibration.measurements import Measurement, Noise
 from core.calibration.quantities import Quantity, with_changes
 from core.calibration.residual import EXPECTED_HALF_LAG_RAD, Windup, turned_tubes, wind_ups
 from core.calibration.rigid_transform import RigidTransform, rotation_from_vector
-from core.errors import NoSolution
+from core.errors import CtrError, NoSolution
 from core.model.batch import Solutions, solve_many
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 
+#: Largest turn of a joint between two measurements over which the shape is followed [rad]; the direction of a longer
+#: turn, and the shapes in between, are unknown.
+MAX_FOLLOWED_TURN_RAD = 1.0
 #: Tolerances of the registration's rotation [rad] and position [m], and standard deviation of the prior of the coil's
 #: offset from the tip in each axis [m].
 FRAME_TOLERANCE_RAD, FRAME_TOLERANCE_M, COIL_OFFSET_PRIOR_M = 1e-2, 1e-3, 3e-3
@@ -58,7 +61,9 @@ def predict(
     """Solve the model at measurements under tip forces (m, 3) [N].
 
     Every joint lags behind its last motion by half of its play in `plays` (n,). Every tube lags by its wind-up for its
-    half lag in `half_lags` (q,). `near` contains nearby solutions from which the solves start.
+    half lag in `half_lags` (q,). `near` contains nearby solutions from which the solves start. Without `near`, ordered
+    measurements (those with a path) follow the shape of the measurement before, if no tube turns far between both. All
+    other measurements are solved from rest.
     """
     joints = np.array([measurement.joints for measurement in measurements])
     if plays is not None:
@@ -69,7 +74,21 @@ def predict(
         for tube, joint in turned_tubes(robot):
             joints[:, joint] -= wound[:, tube]
     wrenches = np.column_stack((forces, np.zeros((len(joints), 3))))
-    return solve_many(Statics(robot, integrator="fourth_order"), joints, wrenches, near)
+    statics = Statics(robot, integrator="fourth_order")
+    if near is not None or any(measurement.path is None for measurement in measurements):
+        return solve_many(statics, joints, wrenches, near)
+    turns = [joint.motion == "rotation" for joint in robot.joints]
+    far = (np.abs(np.diff(joints[:, turns], axis=0)) > MAX_FOLLOWED_TURN_RAD).any(axis=1)
+    runs = np.split(np.arange(len(joints)), np.flatnonzero(far) + 1)
+    alone = np.array([run[0] for run in runs if run.size == 1], dtype=np.int64)
+    parts = [(run, solve_many(statics, joints[run], wrenches[run], along=True)) for run in runs if run.size > 1]
+    parts += [(alone, solve_many(statics, joints[alone], wrenches[alone]))] if alone.size else []
+    numbers = np.empty((len(joints), parts[0][1].numbers.shape[1]))
+    failures: dict[int, CtrError] = {}
+    for rows, solved in parts:
+        numbers[rows] = solved.numbers
+        failures |= {int(rows[k]): error for k, error in solved.failures.items()}
+    return Solutions(numbers, failures, len(robot.tubes), len(robot.joints))
 
 
 class Lag(NamedTuple):
@@ -103,7 +122,7 @@ class Prediction:
     noise: Noise
     start: Frames
     coil: float = COIL_OFFSET_PRIOR_M  #: prior of the coil's deviation from `start`, one standard deviation [m]
-    lags: tuple[Lag, ...] | None = None  #: joints with a fitted play; None: all drives, if tubes are fitted
+    lags: tuple[Lag, ...] | None = None  #: joints with a fitted play; None: all joints, if tubes are fitted
     windups: tuple[Windup, ...] = ()  #: tubes with a fitted half lag
 
     @cached_property
@@ -132,15 +151,14 @@ class Prediction:
     def jacobian(self, values: Array) -> Array:
         """Return the residuals' derivatives: by tube parameters with central differences, by frames in closed form."""
         columns: list[Array] = []
+        solved = self.solutions(values)
         for k, parameter in enumerate(self.parameters[: self._first]):
             ends = np.stack((values, values))
             ends[:, k] = np.clip(values[k] + 1e-3 * parameter.size * np.array([1.0, -1.0]), *parameter.bounds)
             up, down = (self._errors(v, self.solutions(v)) for v in ends)
             difference = tuple((a - b) / (ends[0, k] - ends[1, k]) for a, b in zip(up, down, strict=True))
             columns.append(self._weighted(difference[0], difference[1]))
-        frames = self.frames(values)
-        solved = self.solutions(values)
-        turned = self._turned(values)
+        frames, turned = self.frames(values), self._turned(values)
         turning = rotation_from_vector(values[self._first : self._first + 3])
         for k in range(6):
             position, direction = np.zeros((len(solved), 3)), np.zeros_like(self._directions)
@@ -185,18 +203,23 @@ class Prediction:
         return with_changes(self.robot, self.what, values)
 
     def solutions(self, values: Array) -> Solutions:
-        """Solve the model at every measurement.
+        """Solve the model at every measurement; the frames do not change the solutions.
 
         Raises:
             NoEquilibrium: the model has no shape at a measurement.
 
         """
+        key = values[: self._first].tobytes()
+        if key in self._latest:
+            return self._latest[key]
         half_lags = self.half_lags(values)
         tubes, plays = self.tubes(values), self.plays(values)
         found = predict(tubes, self.measurements, self.forces, plays, self._nominal, half_lags)
         if found.failures:
             first = min(found.failures)
             raise NoEquilibrium(first, str(found.failures[first]))
+        self._latest.clear()
+        self._latest[key] = found
         return found
 
     def errors(self, values: Array) -> Array:
@@ -230,6 +253,11 @@ class Prediction:
     def _first(self) -> int:
         """Index of the first frame parameter."""
         return len(self.what) + len(self._plays) + len(self.windups)
+
+    @cached_property
+    def _latest(self) -> dict[bytes, Solutions]:
+        """The latest solutions, by the parameters of tubes, plays and half lags."""
+        return {}
 
     @cached_property
     def _nominal(self) -> Solutions:

@@ -1,11 +1,12 @@
 """Calibrated parameters of a robot's tubes, and the robot with changed parameters.
 
 The zero angle d of a tube is the direction of its curve when its stage reads zero. It is expressed as the direction of
-the precurvature: (kappa cos d, kappa sin d). By convention, the zero angle of the outermost rotating tube is fixed.
-This tube defines the x axis of the robot's frame, to which the tracker's rotation about z refers. The straight length
-of the outermost tube is fixed for a similar reason. If the straight parts of all tubes were a millimetre longer, every
-tip position would be a millimetre further along z, as if the tracker had moved. A zero error of a translation has the
-same effect as an error of the tube's straight length, so the fitted straight length includes it.
+the precurvature: (kappa cos d, kappa sin d). By convention, the zero angle of the outermost rotating tube that is
+curved (`reference_tube`) is fixed. This tube defines the x axis of the robot's frame, to which the tracker's rotation
+about z refers; a nearly straight tube could not define this axis. The straight length of the outermost curved tube is
+fixed for a similar reason: if the straight parts of all tubes were a millimetre longer, every tip position would be a
+millimetre further along z, as if the tracker had moved. A zero error of a translation has the same effect as an error
+of the tube's straight length, so the fitted straight length includes it.
 
 In the model, an outer tube ends where the inner tubes lose contact with it. With clearance, this point is some
 millimetres before the outer tube's edge. The fitted length of the outer tube's last section is the effective length up
@@ -21,6 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from core.calibration.fit import Parameter
 from core.errors import DescriptionError
 from core.robot.robot import Array, Robot, Section, Tube
@@ -30,6 +33,11 @@ Kind = Literal[
     "zero_angle", "end",
 ]  # fmt: skip
 
+#: Tubes whose ends come closer than this in some pose count as flush [m]: a fit of their lengths would move one end
+#: past the other, which the model does not allow.
+MIN_TUBE_DISTANCE_M = 1.5e-3
+#: A tube counts as curved if the moment that straightens it is at least this fraction of the largest such moment.
+MIN_CURVED_SHARE = 0.1
 #: Unit and standard deviation of the prior for each kind of quantity. The values are for tubes made to a drawing, and
 #: for zero positions of the stages that were set by hand.
 QUANTITY_PRIORS: dict[Kind, tuple[str, float]] = {
@@ -48,7 +56,7 @@ QUANTITY_PRIORS: dict[Kind, tuple[str, float]] = {
 class Quantity:
     """A calibrated parameter of one tube."""
 
-    tube: int  #: 0 = innermost
+    tube: int  #: index of the tube; 0 is the innermost
     kind: Kind
 
     def parameter(self, robot: Robot) -> Parameter:
@@ -69,14 +77,15 @@ class Quantity:
         return Parameter(f"{tube.name} {self.kind}", unit, expected, expected, bounds)
 
 
-def quantities(robot: Robot) -> tuple[Quantity, ...]:
-    """Return the tube parameters of a robot that can be calibrated.
+def quantities(robot: Robot, joints: Sequence[Array] = ()) -> tuple[Quantity, ...]:
+    """Return the tube parameters of a robot that can be calibrated at poses `joints`, each (n,).
 
     They are stiffness EI, curvature, Poisson's ratio, straight length, zero angle, and effective end of an outer tube.
+    A tube that ends flush with a neighbour keeps its total length; only the start of its curve is calibrated.
     """
-    turned = [joint.tube for joint in robot.joints if joint.motion == "rotation"]
-    last = len(robot.tubes) - 1
-    reference = max(turned, default=last)
+    flush = end_distances(robot, joints) < MIN_TUBE_DISTANCE_M
+    reference, last = reference_tube(robot), len(robot.tubes) - 1
+    last_curved = max((i for i in range(last + 1) if _pull(robot.tubes[i]) > 0.0), default=last)
     found: list[Quantity] = []
     for i, tube in enumerate(robot.tubes):
         curved = any(math.hypot(*section.curvature) > 0.0 for section in tube.sections)
@@ -85,13 +94,46 @@ def quantities(robot: Robot) -> tuple[Quantity, ...]:
             found.append(Quantity(i, "curvature"))
         if tube.torsional_stiffness is None:
             found.append(Quantity(i, "poisson_ratio"))
-        if curved and i != last and math.hypot(*tube.sections[0].curvature) == 0.0:
-            found.append(Quantity(i, "straight_length"))
+        fitted = i != last and (flush[i] or i != last_curved)
+        if curved and fitted and math.hypot(*tube.sections[0].curvature) == 0.0:
+            found.append(Quantity(i, "curve_start" if flush[i] else "straight_length"))
         if curved and i != reference:
             found.append(Quantity(i, "zero_angle"))
-        if i > 0:
+        if i > 0 and not flush[i]:
             found.append(Quantity(i, "end"))
     return tuple(found)
+
+
+def reference_tube(robot: Robot) -> int:
+    """Return the index of the outermost rotating tube that is curved, whose zero angle defines the frame's x axis.
+
+    A tube counts as curved if its precurvature bends the robot noticeably compared with that of the other tubes.
+    """
+    turned = [joint.tube for joint in robot.joints if joint.motion == "rotation"]
+    pulls = [_pull(tube) for tube in robot.tubes]
+    curved = [i for i in turned if pulls[i] > 0.0 and pulls[i] >= MIN_CURVED_SHARE * max(pulls)]
+    return max(curved or turned, default=len(robot.tubes) - 1)
+
+
+def _pull(tube: Tube) -> float:
+    """Return the largest moment that straightens a tube [N m]."""
+    return tube.bending_stiffness * max(math.hypot(*section.curvature) for section in tube.sections)
+
+
+def end_distances(robot: Robot, joints: Sequence[Array]) -> Array:
+    """Return the smallest distance (q,) of each tube's end from its neighbours' ends at poses `joints` [m].
+
+    Two tubes without translation joints have the same distance at every pose. If `joints` is empty, all other
+    distances are infinite.
+    """
+    slides = {joint.tube for joint in robot.joints if joint.motion == "translation"}
+    moving = np.array([i in slides or i + 1 in slides for i in range(len(robot.tubes) - 1)], bool)
+    poses = joints if len(joints) else [np.zeros(len(robot.joints))]
+    ends = np.array([robot.tube_poses(pose)[1] for pose in poses]) + [tube.length for tube in robot.tubes]
+    apart = np.abs(np.diff(ends, axis=1)).min(axis=0)
+    if not len(joints):
+        apart[moving] = math.inf
+    return np.minimum(np.append(math.inf, apart), np.append(apart, math.inf))
 
 
 def with_changes(robot: Robot, what: Sequence[Quantity], by: Array) -> Robot:

@@ -11,6 +11,7 @@ rotation of the whole tracker about z have the same effect on every measurement.
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,18 +19,22 @@ import numpy as np
 from core.calibration.fit import Fit, UnobservableCombination, fit, weak_combinations
 from core.calibration.measurements import Measurement, Noise
 from core.calibration.prediction import Frames, Prediction, predict
+from core.calibration.quantities import quantities
 from core.calibration.rigid_transform import kabsch
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 
-#: Every n-th measurement is held out, with this n: the fit excludes it, and its error then checks the result.
+#: Number n: every n-th measurement is held out, which means that the fit excludes it and its error checks the result.
 HOLD_OUT_EVERY = 4
 #: Smallest number of measurements for a registration with held-out checks.
 MIN_MEASUREMENTS = 6
 #: Assumed error of the model [m]. The motion must determine the frames in spite of this error; otherwise small moves
 #: with small noise would appear sufficient.
 MODEL_ERROR_M = 0.3e-3
+#: Largest accepted standard deviation of a combination of frame parameters, in tolerances. A robot whose outer tube is
+#: nearly straight turns about z on a small circle, which determines the frame's rotation less accurately.
+MAX_OPEN_FRAME = 1.0
 #: Factor on the expected Jacobian of a suggested motion; below 1, so that the motion is sufficient in practice.
 INFORMATION_RESERVE = 0.7
 #: Amplitudes of single-joint motions that are tested to find the missing motion, by unit of the joint [rad, m].
@@ -46,26 +51,11 @@ class Registration(NamedTuple):
     fit: Fit
     errors: Array  #: (m,) distance of each coil from the model's prediction [m]
     held_out: Array  #: (k,) distance of each held-out coil from the model's prediction [m]
-    middle: Array  #: (3,) centre of the fitted rotation [m]
 
     @property
     def rms(self) -> float:
         """Root mean square of the errors [m]."""
         return float(np.sqrt(np.mean(self.errors**2)))
-
-    def error_at(self, points: Array) -> Array:
-        """Return the standard deviation (m,) [m] of the registration at points (m, 3) of the robot's frame.
-
-        The covariance of rotation and translation is propagated to the points.
-        """
-        names = [p.name for p in self.fit.parameters]
-        first = names.index("frame rotation x")
-        covariance = self.fit.covariance[first : first + 6, first : first + 6]
-        return np.array([math.sqrt(float(np.trace(j @ covariance @ j.T))) for j in map(self._carry, points)])
-
-    def _carry(self, point: Array) -> Array:
-        x, y, z = point - self.middle
-        return np.hstack((np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]), np.eye(3)))
 
 
 def closed_form(robot: Robot, measurements: Sequence[Measurement], forces: Array) -> Frames:
@@ -92,19 +82,30 @@ def register(
     problem = Prediction(robot, (), measurements, forces, noise, start)
     found = fit(problem, problem.parameters)
     rows = found.jacobian * min(noise.coil / MODEL_ERROR_M, 1.0)
-    if open_ := [c for c in weak_combinations(rows, problem.parameters) if not c.fixed_by_prior]:
+    weak = weak_combinations(rows, problem.parameters)
+    if open_ := [c for c in weak if not c.fixed_by_prior and c.open > MAX_OPEN_FRAME]:
         raise UnobservableCombination(
             f"the visited poses do not determine {open_[0]}: {missing_motion(problem, found, limits)}"
         )
     held_out = held_out_errors(robot, measurements, forces, noise, start)
+    found = _with_tube_errors(problem, found)
     errors = np.linalg.norm(problem.errors(found.values), axis=1)
-    return Registration(problem.frames(found.values), found, errors, held_out, problem.middle)
+    return Registration(problem.frames(found.values), found, errors, held_out)
+
+
+def _with_tube_errors(problem: Prediction, found: Fit) -> Fit:
+    """Return the fit with wider intervals for errors of the tubes, which shift frames and coil alike at all poses."""
+    what = quantities(problem.robot, [measurement.joints for measurement in problem.measurements])
+    wide = replace(problem, what=what, lags=())
+    parameters = wide.parameters[: len(what)]
+    sensitivity = wide.jacobian(np.concatenate((np.zeros(len(what)), found.values)))[:, : len(what)]
+    return found.with_model_errors(sensitivity, np.array([parameter.prior for parameter in parameters]))
 
 
 def held_out_errors(
     robot: Robot, measurements: Sequence[Measurement], forces: Array, noise: Noise, start: Frames
 ) -> Array:
-    """Return the distances [m] at every `HOLD_OUT_EVERY`-th measurement after a fit to the others."""
+    """Return the distances [m] at every `HOLD_OUT_EVERY`-th measurement after a fit to the other measurements."""
     out = np.arange(len(measurements)) % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
     used = Prediction(
         robot, (), [v for v, o in zip(measurements, out, strict=True) if not o], forces[~out], noise, start
@@ -139,7 +140,7 @@ def missing_motion(problem: Prediction, found: Fit, limits: Limits | None) -> st
                 extra = np.clip(extra, [j.lower for j in limits.joints], [j.upper for j in limits.joints])
             if not all(problem.robot.is_valid_pose(pose) for pose in extra):
                 continue
-            added = [Measurement(0.0, e, np.zeros(3), np.zeros((len(problem.robot.tubes), 6)), 0.0) for e in extra]
+            added = [Measurement(0.0, pose, np.zeros(3), np.empty((0, 6)), 0.0) for pose in extra]
             measurements = [*problem.measurements, *_tracked(problem, added, frames)]
             forces = np.vstack((problem.forces, np.zeros((len(extra), 3))))
             more = Prediction(problem.robot, (), measurements, forces, assumed, frames)

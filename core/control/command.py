@@ -46,14 +46,14 @@ class CommandResult(NamedTuple):
 
     velocity: Array  #: (n,) commanded joint velocities [rad/s or m/s]
     u_int: Array  #: (3,) tip velocity requested by the outer loop [m/s]
-    sigma: Array  #: (min(3, n),) smallest singular values of the task's Jacobian, joints in units of top speed [m/s]
+    sigma: Array  #: (min(3, n),) smallest singular values of the task's Jacobian times the joints' top speeds [m/s]
     at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
     at_row: Array  #: (m,) 1 where a limit of several joints together is active
 
 
 #: Empty array as default of the argument `drift`: the loops use the drift that the tip observer estimates.
 OBSERVER_DRIFT = np.zeros(0)
-#: Empty array: the joint velocities start from zero instead of a retreat.
+#: Empty array in place of a retreat's joint velocities: no retreat is necessary.
 NO_RETREAT = np.zeros(0)
 
 
@@ -61,7 +61,7 @@ NO_RETREAT = np.zeros(0)
 _SETTINGS = np.dtype([
     ("k1", float), ("k2", float), ("feedforward", float), ("inner", int),  # `Strategy.laws`
     ("lead_time", float), ("observes", bool), ("exact_rate", bool),  # `FeedbackOptions`
-    ("weight", float), ("min_floor", float),  # `TaskSelection`: of the position; smallest singular value
+    ("weight", float), ("min_floor", float),  # `TaskSelection`: `position` and `floor`
 ])  # fmt: skip
 
 
@@ -69,13 +69,13 @@ _SETTINGS = np.dtype([
 def _settings(
     laws: tuple[float, float, float, int], feedback: FeedbackOptions, weight: float, min_floor: float
 ) -> NDArray[np.void]:
-    """Return the settings as an array with one record."""
+    """Return the settings of the compiled control law as an array with one record."""
     return np.array([(*laws, *feedback, weight, min_floor)], _SETTINGS)
 
 
 @cache
 def _nothing_else(n: int) -> tuple[VelocityTask, NullSpace]:
-    """Return an empty task and a null space without an objective, for `n` joints."""
+    """Return an empty task and an empty null-space objective for `n` joints: the defaults of `command`."""
     return VelocityTask(no_rows(n), NO_BOUNDS), NullSpace(zero_velocity(n), no_rows(n))
 
 
@@ -100,9 +100,9 @@ def command(
         origin: position (3,) from which setpoints are measured [m].
         drift: tip velocity (3,) that neither joints nor load explain [m/s], or `OBSERVER_DRIFT`.
         aim: controlled coordinates of the tip; custom loops control the position only.
-        tasks: tasks in addition to the position, with built-in loops.
+        tasks: control tasks in addition to the position; only built-in loops execute them.
         null_space: objective for joint motions that do not move the tip; None: the preferred joint velocity is zero.
-        near: points along the loaded tubes, which limits need that keep the tubes out of regions.
+        near: points along the loaded tubes, for the limits that keep the tubes out of regions.
 
     Raises:
         NotFinite: the requested tip velocity or the Jacobian is not finite.
@@ -141,10 +141,10 @@ def command(
 def joint_command(
     limits: Limits, joints: Array, now: Estimate, force: Array, requested: Array, near: Backbone | None = None
 ) -> CommandResult:
-    """Return the requested joint velocity (n,) inside the limits, under the estimated `force` (3,) on the tip [N].
+    """Return the `requested` joint velocity (n,), reduced to the limits; `force` (3,) is the force on the tip [N].
 
-    Each joint can stop in its travel. A limit of several joints slows all joints by the same factor, which keeps the
-    path in joint space.
+    Each joint can still stop inside its travel. A limit of several joints slows all joints by the same factor, so the
+    path in joint space does not change.
 
     Raises:
         ContractError: a custom limit raised, or returned a value that violates its interface.
@@ -183,7 +183,7 @@ class _CurrentConfiguration:
     @property
     def backbone(self) -> Backbone:
         """Points along the loaded tubes, bent to the observed tip."""
-        assert self._near is not None, "a limit of regions needs the tubes"  # noqa: S101
+        assert self._near is not None, "the limit of a region needs the points along the tubes"  # noqa: S101
         return self._near
 
 
@@ -253,7 +253,7 @@ def _command(
     if task_velocity.size > 0:
         task = _stacked(law.weight, task, task_rows, task_velocity)
     lower, upper = velocity_bounds(joints, limits)
-    if retreating.size > 0:  # the joints move relative to the retreat
+    if retreating.size > 0:  # solve for the velocity that is added to the retreat
         task = VelocityTask(task.jacobian, task.velocity.copy())
         for j in range(retreating.size):
             lower[j] -= retreating[j]

@@ -1,4 +1,4 @@
-"""Configuration of the controller: the robot's model, limits and estimators, and what the loops use and control."""
+"""Configuration of the controller: model, limits, estimators, feedback of the loops, and controlled coordinates."""
 
 import math
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from core.contract import name_of, reset_state
 from core.control.controllers import FeedbackOptions, Strategy, Task, TaskInputs, custom_rows
 from core.control.deflection_force import TUBE_ERROR
 from core.control.estimation import NO_LOAD, Estimator
@@ -48,9 +49,9 @@ class Controller:
     null_space: NullSpaceObjective | None = None
     #: True: the tip's direction is estimated even if it is not controlled; a calibration needs this estimate.
     watches: bool = False
-    #: False: the bench has no tracker, and the model's tip takes the place of the measured tip.
+    #: False: the bench has no tracker; the controller uses the model's tip instead of a measured tip.
     tracked: bool = True
-    #: False: the bench has no force sensors, and the force from the deflection takes the place of the measured force.
+    #: False: the bench has no force sensors; the force from the deflection replaces the measured force.
     senses: bool = True
     #: Standard deviation of the model's deflection relative to the deflection, for the force from the deflection.
     tube_error: float = TUBE_ERROR
@@ -69,7 +70,7 @@ class Controller:
                 "stiffness: the loops must control the tip's position; use strategy 'dual_layer' with k1 = k2 above 0"
             )
         if self.aim.lever > 0.0 and self.aim.rows > n:
-            raise DescriptionError(f"task: {self.aim.rows} coordinates of the tip need as many joints; there are {n}")
+            raise DescriptionError(f"task: {self.aim.rows} coordinates need at least as many joints; the robot has {n}")
 
     @property
     def period(self) -> float:
@@ -78,8 +79,8 @@ class Controller:
 
     @cached_property
     def no_zeros(self) -> Array:
-        """Zeros (q, 6) of sensors whose drift since the tare is not estimated: none [N, N m]."""
-        return np.zeros((len(self.statics.robot.tubes), 6))
+        """Sensor zeros (s, 6) of a controller that does not estimate their drift since the tare: all 0 [N, N m]."""
+        return np.zeros((len(self.statics.robot.sensor_names), 6))
 
     @cached_property
     def feedback(self) -> FeedbackOptions:
@@ -91,7 +92,7 @@ class Controller:
     def force_delay(self) -> float:
         """Time from a change of the force at the tip to the joints' response [s].
 
-        Without force sensors the observer detects the force, so its time constant is added.
+        Without force sensors the observer detects the force, so the observer's time constant is added.
         """
         observing = 0.0 if self.senses else 1.0 / (2.0 * math.pi * self.estimator.observer.bandwidth)
         return self.estimator.actuation.lead_time + STAGES_LAG_S + observing
@@ -110,8 +111,8 @@ class Controller:
     def kinks(self) -> Kinks:
         """Kinks (joint positions where the Jacobian jumps) that the null-space objective resists.
 
-        With a single redundant joint the result is empty: this joint would have to move at top speed to keep the other
-        joints from crossing a kink.
+        With a single redundant joint the result is empty. Such a joint would have to move at top speed to keep the
+        other joints from crossing a kink.
         """
         kinks = kinks_of(self.statics.robot)
         return kinks if len(self.limits.joints) >= self.aim.rows + 2 else Kinks(kinks.rows[:0], kinks.offsets[:0])
@@ -134,11 +135,23 @@ class Controller:
         if self.stiffness is not None:
             self.stiffness.check(self.statics.solve(joints, NO_LOAD), self.force_delay)
 
+    def reset(self) -> None:
+        """Reset custom loops, tasks and limits that have a state, because a motion starts.
+
+        Raises:
+            ContractError: a loop, task or limit raised.
+
+        """
+        self.strategy.reset()
+        for what, parts in (("task", self.tasks), ("limit", self.limits.others)):
+            for part in parts:
+                reset_state(f"{what} '{name_of(part)}'", part)
+
     def tare(self, readings: Array, joints: Array) -> Array:
-        """Return the tare (q, 6) of the base sensors from readings (q, 6) without load at joints (n,)."""
+        """Return the tare (s, 6) of the base sensors from readings (s, 6) without load at joints (n,)."""
         if self.corrections is None:
             return readings
-        return self.corrections.offset(readings, self.statics.robot.tube_poses(joints)[0])
+        return self.corrections.offset(self.statics.robot, joints, readings)
 
     def tip(self, measured: Array, rotation: Array) -> Array:
         """Return the tip's position (3,) from the coil position (3,) in a tracker frame [m].

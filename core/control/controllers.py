@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from core.compiled import compiled
-from core.contract import name_of, numbers, pair, result_of
+from core.contract import name_of, numbers, pair, reset_state, result_of
 from core.control.trajectories import Setpoint
 from core.control.velocity_ik import VelocityTask
 from core.errors import ContractError, DescriptionError
@@ -54,7 +54,7 @@ class FeedbackOptions(NamedTuple):
 
 
 class TaskInputs(NamedTuple):
-    """What a task may use: the built-in loops, their feedback, and the model's solutions."""
+    """Inputs of a task: the built-in loops, their feedback, and the model's solutions."""
 
     laws: tuple[float, float, float, int]  #: gains of the outer loop and number of the inner loop, `Strategy.laws`
     feedback: FeedbackOptions
@@ -87,7 +87,10 @@ def custom_rows(task: Task, at: TaskInputs) -> VelocityTask:
 
 
 class OuterLoop(Protocol):
-    """Outer loop: requests a tip velocity U_int from the inner loop."""
+    """Outer loop: requests a tip velocity U_int from the inner loop.
+
+    A loop with a state, for example an integral, also has a method `reset()`, which is called before each motion.
+    """
 
     def tip_velocity(self, setpoint: Setpoint, tip: Array) -> Array:
         """Return the requested tip velocity U_int (3,) [m/s].
@@ -101,7 +104,7 @@ class InnerLoop(Protocol):
     """Inner loop: turns U_int (3,) [m/s] into a velocity equation for the joints."""
 
     def __call__(self, u_int: Array, view: LoopInputs, /) -> VelocityTask:
-        """Return the equation that the joints must solve."""
+        """Return the equation that the joint velocities must satisfy."""
         ...
 
 
@@ -158,7 +161,7 @@ class InnerLaw(NamedTuple):
     number: int
 
     def __call__(self, u_int: Array, view: LoopInputs, /) -> VelocityTask:
-        """Return the equation that the joints must solve."""
+        """Return the equation that the joint velocities must satisfy."""
         return VelocityTask(
             *inner_law(
                 self.number, u_int, view.loaded.jacobian, view.unloaded.jacobian,
@@ -228,7 +231,7 @@ class Strategy:
 
     @property
     def gain(self) -> float:
-        """Gain K1 of the measured tip in a built-in outer loop; 0 for other loops [1/s]."""
+        """Gain K1 of the measured tip in the outer loop; 0 without feedback and for custom loops [1/s]."""
         return 0.0 if self.laws is None else self.laws[0]
 
     @property
@@ -249,7 +252,7 @@ class Strategy:
         return numbers(who, "U_int", result_of(who, self.outer.tip_velocity, setpoint, tip), (3,), "m/s")
 
     def velocity_task(self, u_int: Array, view: LoopInputs) -> VelocityTask:
-        """Return the inner loop's equation for the joints.
+        """Return the inner loop's equation for the joint velocities.
 
         Raises:
             ContractError: the inner loop raised, or returned something other than finite numbers (3, n) and (3,).
@@ -262,6 +265,16 @@ class Strategy:
             numbers(who, "the Jacobian", jacobian, (3, view.loaded.joints.size), "m/rad or m/m"),
             numbers(who, "the velocity", velocity, (3,), "m/s"),
         )
+
+    def reset(self) -> None:
+        """Call `reset` of the loops that have one, because a motion starts.
+
+        Raises:
+            ContractError: a loop raised.
+
+        """
+        for who, loop in zip(self.names, (self.outer, self.inner), strict=True):
+            reset_state(who, loop)
 
     def check(self, at: Solution) -> None:
         """Call custom loops once before the robot moves, as if it were at rest on its setpoint in the pose `at`.
@@ -276,8 +289,8 @@ class Strategy:
             self.velocity_task(u_int, LoopInputs(at.copy(), at.copy(), *rest[3:]))
 
 
-#: Functions that make the strategy of each name from the outer loop's gains and an inner loop; a strategy may ignore
-#: either argument.
+#: Functions by strategy name; each returns a strategy from the outer loop's gains and an inner loop, and may ignore
+#: both arguments.
 STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
     "unloaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), unloaded),
     "loaded_jacobian": lambda _gains, _inner: Strategy(VelocityMode(), loaded),
@@ -286,8 +299,10 @@ STRATEGIES: dict[str, Callable[[PositionMode, InnerLoop], Strategy]] = {
 }
 
 
-def strategy(name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = False, inner: str = "type_1") -> Strategy:
-    """Return the control strategy with this name.
+def strategy(
+    name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = False, inner: str | InnerLoop = "type_1"
+) -> Strategy:
+    """Return the control strategy with this name; `inner` is an inner loop or the name of one.
 
     Raises:
         DescriptionError: unknown strategy or inner loop, or gains outside 0 ... 50 1/s.
@@ -295,9 +310,10 @@ def strategy(name: str, k1: float = 2.5, k2: float = 2.5, feedforward: bool = Fa
 
     """
     for what, given, known in (("strategy", name, STRATEGIES), ("inner loop", inner, INNER_LOOPS)):
-        if given not in known:
+        if isinstance(given, str) and given not in known:
             raise DescriptionError(f"{what} '{given}' is unknown; choose one of {', '.join(known)}")
-    made = result_of(f"strategy '{name}'", STRATEGIES[name], PositionMode(k1, k2, feedforward), INNER_LOOPS[inner])
+    loop = INNER_LOOPS[inner] if isinstance(inner, str) else inner
+    made = result_of(f"strategy '{name}'", STRATEGIES[name], PositionMode(k1, k2, feedforward), loop)
     if not isinstance(made, Strategy):
         raise ContractError(f"strategy '{name}' returned a {type(made).__name__}; it must return a Strategy")
     return made

@@ -1,20 +1,20 @@
 """Force at the tip from its deflection: the force that explains the tracker's tip through the model's compliance.
 
-A bench without force sensors still bends under a load. The observer gives the tip X at the present time, and its bias
-at the start of the motion, where the tip carries no load, gives the error b_0 of the unloaded model. The force f
+The robot bends under a load also on a bench without force sensors. The observer gives the present tip X. The observer's
+bias at the start of the motion, where the tip carries no load, is the error b_0 of the unloaded model. The force f
 explains the remaining difference
 
     X - b_0 = F(q, f),    F(q, f + df) = F(q, f) + C(q, f) df.
 
-With errors of X - b_0 of variance s^2 in each axis, and a force that is N(0, `LARGEST_FORCE_N`^2) in each axis before
-anything is measured, the force and its covariance are
+Let s^2 be the variance of X - b_0 in each axis, and N(0, `LARGEST_FORCE_N`^2) the prior of the force in each axis. Then
+the force step and the covariance are
 
     A = C^T C / s^2 + I / LARGEST_FORCE_N^2,    df = A^-1 (C^T r / s^2 - f / LARGEST_FORCE_N^2),    P = A^-1,
 
-where r is the residual X - b_0 - F(q, f). Each tracker frame executes one step. The variance s^2 has three parts: that
-of the observer's bias, `MODEL_ERROR_M`^2, and that of the tubes' stiffness and curvature, which is proportional to the
-square of the deflection. The filter is the observer's, and so is the delay. Along the tubes C
-bends by 0.1 mm/N: there the covariance approaches LARGEST_FORCE_N^2, and the estimate is close to zero. Sources:
+where r is the residual X - b_0 - F(q, f). Each tracker frame executes one step. The variance s^2 has three parts: the
+variance of the observer's bias, `MODEL_ERROR_M`^2, and a part for the tubes' stiffness and curvature in proportion to
+the square of the deflection. Filter and delay are those of the observer. Along the tubes the compliance C is only
+0.1 mm/N: there the covariance approaches LARGEST_FORCE_N^2, and the estimate is close to zero. Sources:
 D. C. Rucker and R. J. Webster, "Deflection-based force sensing for continuum robots", ICRA 2011; K. Xu and N. Simaan,
 T-RO 24(3), 2008, for the singular values of C.
 """
@@ -33,23 +33,23 @@ from core.model.statics import Statics
 from core.robot.robot import Array
 
 #: Standard deviation, in each axis, by which the error of the unloaded model changes between the start of a motion and
-#: a place on its path [m].
+#: a point on its path [m].
 MODEL_ERROR_M = 0.2e-3
 #: Standard deviation of the model's deflection as a fraction of the deflection: for tubes whose stiffness and curvature
 #: are within 8 % of the robot file, and after `calibrate tubes`.
 TUBE_ERROR, CALIBRATED_TUBE_ERROR = 0.05, 0.01
-#: Standard deviation of the force in each axis before anything is measured [N]. Where the tubes bend by 30 mm/N, it has
-#: no effect. Along the tubes, where they bend by 0.1 mm/N, a larger value would only pass more of the tracker's noise.
+#: Standard deviation of the force's prior in each axis [N]. Across the tubes (30 mm/N) the prior has no effect. Along
+#: the tubes (0.1 mm/N) a larger value would only pass more of the tracker's noise.
 LARGEST_FORCE_N = 0.25
-#: Largest change of the force by one tracker frame [N]; C belongs to the present force and changes with it.
+#: Largest change of the force by one tracker frame [N], because the compliance C changes with the force.
 LARGEST_STEP_N = 0.2
 
 
 class DeflectionForce(NamedTuple):
-    """Force at the tip after a tracker frame, and what the next frame needs."""
+    """Force at the tip after a tracker frame, and the state for the next frame."""
 
     force: Array  #: (3,) force at the tip, world frame [N]
-    covariance: Array  #: (6,) of the force: xx, xy, xz, yy, yz, zz [N^2]
+    covariance: Array  #: (6,) covariance of the force: xx, xy, xz, yy, yz, zz [N^2]
     reference: Array  #: (3,) bias of the model without load [m]
     solution: Solution  #: solved model under an earlier force, from which the next solve starts
 
@@ -61,7 +61,7 @@ def start_deflection(unloaded: Solution, reference: Array) -> DeflectionForce:
 
 def update_deflection(
     statics: Statics, last: DeflectionForce, joints: Array, unloaded: Solution, observed: ObserverState,
-    tube_error: float = TUBE_ERROR,
+    residual: Array, tube_error: float = TUBE_ERROR,
 ) -> DeflectionForce:  # fmt: skip
     """Return the estimate after a tracker frame that the observer has used or rejected.
 
@@ -74,6 +74,7 @@ def update_deflection(
         joints: measured joint positions (n,) [rad or m].
         unloaded: solved model without load in this tick.
         observed: state of the tip observer in this tick.
+        residual: learned residual (3,) in the model's tip of this tick; the solution here does not contain it [m].
         tube_error: standard deviation of the model's deflection relative to the deflection.
 
     """
@@ -85,7 +86,7 @@ def update_deflection(
     tip = observed.tip - last.reference
     by_tubes = tube_error * math.dist(tip, unloaded.tip)
     variance = observed.covariance[0] + MODEL_ERROR_M**2 + by_tubes * by_tubes
-    _step(solution.compliance, tip - solution.tip, variance, force, covariance)
+    _step(solution.compliance, tip - residual - solution.tip, variance, force, covariance)
     return DeflectionForce(force, covariance, last.reference, solution)
 
 

@@ -25,9 +25,21 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import Shapes, compiled, copy, packed_size, part
+from core.control.fields import Field, named, vector
 from core.control.observer import Observer, ObserverState, RateFilter, filtered, gains, observe
 from core.control.sensors import FusedLoad, fused_at
 from core.control.tip_force import BANDWIDTH, FORCE, QUALITY, LoadEstimator, estimate_force
+from core.control.tip_residual import (
+    FACTOR,
+    HARMFUL,
+    SHARE,
+    TOLERANCE,
+    TipResidual,
+    advance_directions,
+    apply_residual,
+    next_gain,
+    table_of,
+)
 from core.errors import DescriptionError
 from core.model.newton import CONTROL_STEP_RAD, newton
 from core.model.solution import Solution, fields, pure_force
@@ -99,49 +111,79 @@ SMOOTHING_TIME_S = 30.0
 
 
 class EstimateFields(NamedTuple):
-    """Named views of an estimate's array; all vectors are in the world frame."""
+    """Named views of an estimate's array; `ESTIMATES` states unit and meaning of each vector (3,), world frame."""
 
-    deflection: Array  #: (3,) deflection Delta_total: the model's loaded tip minus its unloaded tip [m]
-    deflection_rate_raw: Array  #: (3,) change of the deflection since the last tick over the period, unfiltered [m/s]
-    deflection_filtered: Array  #: (3,) filtered deflection [m]
-    deflection_rate: Array  #: (3,) rate of the filtered deflection [m/s]
-    force_filtered: Array  #: (3,) filtered force at the tip [N]
-    force_rate: Array  #: (3,) rate of the filtered force [N/s]
-    force_smooth: Array  #: (3,) smoothed force with the rate `force_rate` [N]
-    load_rate: Array  #: (3,) tip velocity C w' that the changing load causes [m/s]
-    deflection_rate_exact: Array  #: (3,) rate of the deflection, C w' + (J(q, w) - J(q, 0)) q' [m/s]
-    delta_1: Array  #: (3,) part of the deflection caused by the load, integral of C dw, eq. (22) [m]
-    delta_2: Array  #: (3,) part of the deflection caused by the joints, integral of (J(q, w) - J(q, 0)) dq [m]
-    velocity_observed: Array  #: (3,) observed velocity of the tip, J q' + C w' + drift [m/s]
-    tip_ahead: Array  #: (3,) predicted tip position when a command sent now takes effect [m]
-    bias: Array  #: (3,) measured tip minus the model's tip [m]
-    drift: Array  #: (3,) rate of the bias [m/s]
-    refused: Array  #: (3,) measured tip minus the model's tip in the latest rejected tracker frame [m]
-    bias_covariance: Array  #: (3,) variance of bias, their covariance, variance of drift [m^2, m^2/s, m^2/s^2]
-    load: Array  #: (5, 3) estimate of the force at the tip, see `tip_force`
-    vectors: Array  #: (22, 3) all vectors above in one matrix, one per row
+    deflection: Array
+    deflection_rate_raw: Array
+    deflection_filtered: Array
+    deflection_rate: Array
+    force_filtered: Array
+    force_rate: Array
+    force_smooth: Array
+    load_rate: Array
+    deflection_rate_exact: Array
+    delta_1: Array
+    delta_2: Array
+    velocity_observed: Array
+    tip_ahead: Array
+    bias: Array
+    drift: Array
+    refused: Array
+    bias_covariance: Array
+    load: Array  #: (5, 3) five vectors, see `tip_force`
+    residual: Array
+    residual_state: Array
+    vectors: Array  #: (24, 3) all vectors in one matrix, one per row
+    directions: Array  #: (n,) state of each joint's last motion, see `tip_residual`
     ahead: Array  #: (n,) distance that the joints still move until a command sent now takes effect [rad or m]
     sent: Array  #: (ticks, n) joint velocities sent to the stages, newest first [rad/s or m/s]
     tips: Array  #: (history, 3) the model's tips of the last ticks [m]
 
 
-#: Unit of each vector in `EstimateFields`, in their order; telemetry has a channel for each vector.
-VECTOR_UNITS = {
-    "deflection": "m", "deflection_rate_raw": "m/s", "deflection_filtered": "m", "deflection_rate": "m/s",
-    "force_filtered": "N", "force_rate": "N/s", "force_smooth": "N",
-    "load_rate": "m/s", "deflection_rate_exact": "m/s", "delta_1": "m", "delta_2": "m",
-    "velocity_observed": "m/s", "tip_ahead": "m", "bias": "m", "drift": "m/s", "refused": "m",
-}  # fmt: skip
-
-
-#: Number of vectors in an estimate's array: those of `VECTOR_UNITS`, the covariance, and the five rows of `load`.
-VECTOR_COUNT = len(VECTOR_UNITS) + 6
+#: The vectors of `EstimateFields`, in their order.
+ESTIMATES = (
+    Field("deflection", "m", "model's loaded tip minus its unloaded tip, eq. (25)", "force", vector, streamed=True),
+    Field("deflection_rate_raw", "m/s", "change of the deflection in one tick, unfiltered", "force", vector),
+    Field("deflection_filtered", "m", "filtered deflection", "force", vector, streamed=True),
+    Field("deflection_rate", "m/s", "rate of the filtered deflection", "force", vector, streamed=True),
+    Field("force_filtered", "N", "filtered force at the tip", "force or deflection", vector, streamed=True),
+    Field("force_rate", "N/s", "rate of the filtered force", "force", vector),
+    Field("force_smooth", "N", "smoothed force with the rate `force_rate`", "force", vector),
+    Field("load_rate", "m/s", "tip velocity C w' that the changing load causes", "force", vector),
+    Field("deflection_rate_exact", "m/s", "rate of the deflection, C w' + (J(q, w) - J(q, 0)) q'", "force", vector),
+    Field("delta_1", "m", "part of the deflection that the load causes, eq. (22)", "force", vector),
+    Field("delta_2", "m", "part of the deflection that the joints cause, eq. (22)", "force", vector),
+    Field("velocity_observed", "m/s", "tip velocity J q' + C w' + drift", "controller", vector),
+    Field("tip_ahead", "m", "predicted tip when a command sent now takes effect", "controller", vector),
+    Field("bias", "m", "measured tip minus the model's tip", "tracker", vector),
+    Field("drift", "m/s", "rate of the bias", "tracker", vector),
+    Field("refused", "m", "measured minus the model's tip in the latest rejected tracker frame", "tracker", vector),
+    Field(
+        "bias_covariance", "", "variance of bias, covariance of bias and drift, variance of drift", "tracker",
+        named("bias", "both", "drift", units=("m^2", "m^2/s", "m^2/s^2")),
+    ),
+    Field("force_estimated", "N", "estimated force at the tip, unfiltered", "force", vector),
+    Field("force_variance", "N^2", "variance of the force", "force or deflection", vector, streamed=True),
+    Field("force_covariance", "N^2", "covariances of the estimated force", "force", named("xy", "xz", "yz")),
+    Field("moment_mismatch", "N m", "measured moment minus that of the estimated force", "force", vector),
+    Field(
+        "load_estimate", "", "force filter bandwidth, chi square of the moment mismatch, time since the tare", "force",
+        named("bandwidth", "misfit", "since_tare", units=("Hz", "", "s")),
+    ),
+    Field("residual", "m", "learned residual in the model's tip", "controller", vector),
+    Field(
+        "residual_state", "", "explained share of the variance, factor (0: off), time for which it increased the error",
+        "controller", named("share", "factor", "harmful", units=("", "", "s")),
+    ),
+)  # fmt: skip
+#: Number of vectors in the array of an estimate.
+VECTOR_COUNT = len(ESTIMATES)
 
 
 @compiled
 def _shapes(n: int, ticks: int, history: int) -> Shapes:
-    """Return the shapes of an estimate's array: scalars, `vectors`, `ahead`, `sent`, `tips` of `EstimateFields`."""
-    return (1, 6), (VECTOR_COUNT, 3), (1, n), (ticks, n), (history, 3)
+    """Return the shapes of an estimate's array: scalars, `vectors`, `directions`, `ahead`, `sent`, `tips`."""
+    return (1, 6), (VECTOR_COUNT, 3), (1, n), (1, n), (ticks, n), (history, 3)
 
 
 #: Index of the estimated force at the tip in an estimate's array.
@@ -155,29 +197,43 @@ def estimate_fields(numbers: Array) -> EstimateFields:
     v = part(numbers, shapes, 1)
     return EstimateFields(
         v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
-        v[17:], v, part(numbers, shapes, 2)[0], part(numbers, shapes, 3), part(numbers, shapes, 4),
+        v[17:22], v[22], v[23], v, part(numbers, shapes, 2)[0], part(numbers, shapes, 3)[0], part(numbers, shapes, 4),
+        part(numbers, shapes, 5),
     )  # fmt: skip
 
 
 def _views(numbers: Array) -> EstimateFields:
     """Return the views of `estimate_fields`, whose compiled code takes twice as long when Python calls it."""
     parts = _layout(int(numbers[JOINT_COUNT]), int(numbers[DELAY_TICKS]), int(numbers[HISTORY_TICKS]))
-    v, ahead, sent, tips = (numbers[where].reshape(shape) for where, shape in parts)
-    return EstimateFields._make((*v[:17], v[17:], v, ahead[0], sent, tips))
+    v, directions, ahead, sent, tips = (numbers[where].reshape(shape) for where, shape in parts)
+    return EstimateFields._make((*v[:17], v[17:22], v[22], v[23], v, directions[0], ahead[0], sent, tips))
 
 
 @cache
 def _layout(n: int, ticks: int, history: int) -> list[tuple[slice, tuple[int, int]]]:
-    """Return slice and shape of `vectors`, `ahead`, `sent` and `tips` in an estimate's array."""
+    """Return slice and shape of `vectors`, `directions`, `ahead`, `sent` and `tips` in an estimate's array."""
     shapes = _shapes(n, ticks, history)
     ends = np.cumsum([rows * columns for rows, columns in shapes]).tolist()
     return [(slice(start, end), shape) for start, end, shape in zip(ends, ends[1:], shapes[1:], strict=False)]
+
+
+class _Vector:
+    """Attribute that reads one vector (3,) of an estimate, faster than `known`, which creates views of all vectors."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        start = REJECTED_COUNT + 1 + 3 * EstimateFields._fields.index(name)
+        self._where = slice(start, start + 3)
+
+    def __get__(self, estimate: "Estimate", owner: type | None = None) -> Array:
+        return estimate.numbers[self._where]
 
 
 class Estimate:
     """Estimates of one tick, and the state of the filters that the next tick needs."""
 
     __slots__ = ("_known", "loaded", "numbers", "unloaded")
+
+    load_rate, velocity_observed, tip_ahead, bias, drift = _Vector(), _Vector(), _Vector(), _Vector(), _Vector()
 
     def __init__(self, loaded: Solution, unloaded: Solution, numbers: Array) -> None:
         self.loaded = loaded  #: solved model under the estimated load
@@ -194,8 +250,19 @@ class Estimate:
 
     @property
     def force(self) -> Array:
-        """(3,) estimated force at the tip, `known.load[FORCE]`; reading it is faster than `known` [N]."""
+        """(3,) estimated force at the tip, `known.load[FORCE]` [N]."""
         return self.numbers[FORCE_START : FORCE_START + 3]
+
+    @property
+    def vectors(self) -> Array:
+        """Numbers of `ESTIMATES`, in their order."""
+        return self.numbers[REJECTED_COUNT + 1 : REJECTED_COUNT + 1 + 3 * VECTOR_COUNT]
+
+    @property
+    def model_tip(self) -> Array:
+        """(3,) newest of the model's stored tips [m]."""
+        end = self.numbers.size - 3 * (self.numbers.item(HISTORY_TICKS) - self.numbers.item(NEWEST_INDEX))
+        return self.numbers[int(end) : int(end) + 3]
 
     @property
     def observed(self) -> ObserverState:
@@ -215,6 +282,7 @@ class Estimator:
     observer: Observer
     actuation: Actuation
     load: LoadEstimator = field(default_factory=LoadEstimator)  #: estimator of the force at the tip
+    residual: TipResidual | None = None  #: learned residual of the model; None: the model is not corrected
 
     def start(self, loaded: Solution, unloaded: Solution, force: Array, tip: Array) -> Estimate:
         """Return the estimate at rest under `force` (3,) [N] with the measured tip `tip` (3,) [m]."""
@@ -236,6 +304,11 @@ class Estimator:
         known.tip_ahead[:] = tip
         known.bias[:], known.drift[:], known.bias_covariance[:], known.tips[:] = observed[:4]
         return now
+
+    @cached_property
+    def residual_packed(self) -> Array | None:
+        """Packed residual; None if there is no residual, so that the compiler leaves out its code."""
+        return None if self.residual is None else self.residual.packed()
 
     @cached_property
     def settings(self) -> Array:
@@ -282,8 +355,8 @@ def estimate(
     filtered(
         old.force_filtered, old.force_rate, force, new.force_filtered, new.force_rate, period, k_value, k_rate
     )  # fmt: skip
-    # The smoothed force has the rate `force_rate`. While the gains change with the pose, its sum would drift away from
-    # the filter's state, so it also approaches the value that it has at constant gains.
+    # The smoothed force is the integral of `force_rate`. Because the filter's gains change, the integral would drift
+    # away from the filter's state. It is therefore also pulled toward the value that it has at constant gains.
     lag, leak = k_value / k_rate - period, period / SMOOTHING_TIME_S
     for i in range(3):
         steady = new.force_filtered[i] - lag * new.force_rate[i]
@@ -298,8 +371,8 @@ def estimate(
         for j in range(3):
             by_force += with_load.compliance[i, j] * new.force_rate[j]
             # The force noise of a single sample would move the model's tip by a millimetre, so the tip is evaluated
-            # under the smoothed force. The smoothed force has the rate `force_rate`, which `load_rate` also uses. The
-            # lag of both therefore appears consistently in the bias and its drift.
+            # under the smoothed force. The smoothed force has the rate `force_rate`, from which `load_rate` follows, so
+            # the lag of both has the same effect on the bias and its drift.
             model_tip[i] += with_load.compliance[i, j] * (new.force_smooth[j] - force[j])
         for j in range(velocity.shape[0]):
             extra = with_load.jacobian[i, j] - free.jacobian[i, j]
@@ -324,7 +397,22 @@ def estimate(
         new.tip_ahead[i] += new.bias[i] + lead_time * new.drift[i]
 
 
-#: Load of an unloaded pose: none [N, N m].
+@compiled
+def corrected(
+    residual: Array, period: float, loaded: Array, unloaded: Array, old_loaded: Array, last: Array, numbers: Array
+) -> None:  # fmt: skip
+    """Add the packed residual to this tick's solutions, and its state to `numbers`; arguments as in `estimate`."""
+    old, new = estimate_fields(last), estimate_fields(numbers)
+    advance_directions(
+        table_of(residual), fields(old_loaded).joints, fields(loaded).joints, old.directions, new.directions
+    )
+    gain, worse = old.residual_state[FACTOR], old.residual_state[HARMFUL]
+    gain, worse = next_gain(residual[TOLERANCE], period, old.bias, old.residual, gain, worse)
+    share = apply_residual(residual, gain, new.directions, loaded, unloaded, new.residual)
+    new.residual_state[SHARE], new.residual_state[FACTOR], new.residual_state[HARMFUL] = share, gain, worse
+
+
+#: Wrench on the tip of an unloaded pose: zero [N, N m].
 NO_LOAD = np.zeros(6)
 
 
@@ -339,8 +427,8 @@ def perceive(
         estimator: filters of the controller.
         last: estimate of the previous tick.
         joints: measured joint positions (n,) [rad or m].
-        wrenches: tared wrenches of the base sensors (q, 6), each in the axes of its sensor [N, N m].
-        zeros: estimated zeros of the sensors since the tare (q, 6), which are subtracted [N, N m].
+        wrenches: tared wrenches of the base sensors (s, 6), each in the axes of its sensor [N, N m].
+        zeros: estimated zeros of the sensors since the tare (s, 6), which are subtracted [N, N m].
         sent: joint velocities (n,) sent to the stages last [rad/s or m/s].
         tip, age: tip (3,) in a new tracker frame [m], and the frame's age since its measurement [s]; tip None: no new
             frame.
@@ -355,7 +443,7 @@ def perceive(
     loaded, unloaded, numbers, total = *map(np.empty, map(len, before)), np.empty(6)
     load, now = FusedLoad(total[:3], total[3:]), Estimate(Solution(loaded), Solution(unloaded), numbers)
     if not _perceive(
-        *statics.compiled_arguments, estimator.settings, estimator.load.settings,
+        *statics.compiled_arguments, estimator.settings, estimator.load.settings, estimator.residual_packed,
         joints, wrenches, zeros, sent, frame, age, *before, 1,
         total, loaded, unloaded, numbers,
     ):  # fmt: skip
@@ -363,6 +451,11 @@ def perceive(
         force = now.known.load[FORCE]
         now.loaded = statics.solve(joints, pure_force(force), last.loaded)
         now.unloaded = statics.solve(joints, NO_LOAD, last.unloaded)
+        if (residual := estimator.residual_packed) is not None:
+            corrected(
+                residual, estimator.filter.period, now.loaded.numbers, now.unloaded.numbers,
+                last.loaded.numbers, last.numbers, numbers,
+            )  # fmt: skip
         estimate(
             estimator.settings, now.loaded.numbers, now.unloaded.numbers, *before,
             force, sent, frame, age, numbers,
@@ -373,8 +466,8 @@ def perceive(
 @compiled
 def _perceive(
     packed: Array, order: int, sublink: float, tubes: tuple[float, ...], columns: tuple[float, ...], settings: Array,
-    load_settings: Array, joints: Array, readings: Array, zeros: Array, sent: Array, frame: Array, age: float,
-    near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
+    load_settings: Array, residual: Array | None, joints: Array, readings: Array, zeros: Array, sent: Array,
+    frame: Array, age: float, near_loaded: Array, near_unloaded: Array, last: Array, careful: int,
     load: Array, loaded: Array, unloaded: Array, now: Array,
 ) -> bool:  # fmt: skip
     """Compute `perceive` into the last four arguments; return False if the model was not solved.
@@ -401,5 +494,7 @@ def _perceive(
         )
     ):
         return False
+    if residual is not None:
+        corrected(residual, settings[0], loaded, unloaded, near_loaded, last, now)
     estimate(settings, loaded, unloaded, near_loaded, near_unloaded, last, force[FORCE], sent, frame, age, now)
     return True

@@ -1,27 +1,26 @@
-"""Force of the tip along a direction: the tip approaches until contact, and then holds a force.
+"""Force control of the tip along a direction: the tip approaches until contact, and then keeps a force.
 
 Along the direction n of a `Press` the tip's position is not controlled. The joints alone move the tip with the velocity
 
     v = a g c (F - f) + s - (1 - a) h c f',    s' = RESET b (a g)^2 c (F - f),    c = n' C n
 
-Here F is the desired force, f the filtered force that the tip exerts along n and C the compliance of the tubes. The
-integral s becomes the speed of an obstacle that moves. Across n the loops control the position as in every other
-motion.
+Here F is the desired force, f the filtered force that the tip exerts along n and C the compliance of the tubes. If the
+obstacle moves, the integral s approaches its speed. Across n the loops control the position as in every motion.
 
-**Stability.** On a rigid obstacle a motion of the free tip by dx raises the force by dx / c, so the loop crosses 1 at
-g. It has the delay T from a force to the joints, and g T = `CROSSOVER_DELAY` leaves enough phase margin. A soft
-obstacle gives way, so the loop crosses 1 at a lower frequency. While the loops hold the tip across n, it is stiffer by
-the ratio r = c n' C^-1 n, which is largest along the axis of a curved robot. The phase margin allows for that. The
-integral takes a part of this margin, so b = min(1, `STIFFER` / r) makes it slower along the axis. There, with a quick
-integral, friction in the tubes keeps up an oscillation.
+**Stability.** On a rigid obstacle, joints that would move the free tip by dx raise the force by dx / c. The loop gain
+is therefore 1 at the frequency g. The delay from a force to the joints is T; g T = `CROSSOVER_DELAY` leaves enough
+phase margin. A soft obstacle gives way, so the crossover frequency is lower. While the loops control the position
+across n, the tip is stiffer by the ratio r = c n' C^-1 n, which is largest along the axis of a curved robot. The phase
+margin allows for that. The integral uses a part of this margin. The factor b = min(1, `STIFFER` / r) makes the integral
+slower along the axis, where friction in the tubes would sustain an oscillation with a fast integral.
 
 **Approach.** The force rises at most by v T / c before the joints respond to the contact. So the approach is not faster
 than `OVERSHOOT` F c / T, and the force exceeds F by at most `OVERSHOOT` F. Without contact s is zero.
 
-**Quick obstacles.** The joints have a largest speed and a largest acceleration A along n. A joint that must turn
-around too quickly lags, and would then push when it should retreat. With R, the root of twice the recent mean square of
-f', the law needs the acceleration a g c R. The factor a <= 1 keeps it within A. As far as a is below 1, the damping h =
-`DAMPING` moves the tip with the obstacle instead, in phase.
+**Fast obstacles.** The joints have a largest speed and a largest acceleration A along n. A joint that must reverse too
+fast lags, and would then push when it should retreat. The law needs the acceleration a g c R, where R is the root of
+twice the recent mean square of f'. The factor a <= 1 keeps this acceleration within A. Where a is below 1, the damping
+h = `DAMPING` moves the tip in phase with the obstacle instead.
 """
 
 import math
@@ -41,16 +40,16 @@ STIFFER = 12.0
 OVERSHOOT = 0.5
 #: Fraction of the desired force below which the tip has no contact.
 CONTACT = 0.1
-#: Time constant of the force's filter, as a fraction of the delay. Without the filter, commands that the line takes
-#: every 25 ms would contain the noise of single samples.
+#: Time constant of the force's filter, as a fraction of the delay. The serial line takes a command every 25 ms; without
+#: the filter, each command would contain the noise of a single sample.
 FILTER = 0.25
 #: Time constant of the filter of the force's rate, as a fraction of the delay.
 RATE_FILTER = 1.0
 #: Time constant of the mean square of the force's rate [s].
 MEMORY_S = 1.0
-#: Largest used speed of an obstacle, as a multiple of the joints' largest speed: bounds the memory of a wrong force.
+#: Largest assumed speed of an obstacle, in multiples of the tip's largest speed: limits the effect of a wrong force.
 QUICKEST = 4.0
-#: Gain of the force's rate for an obstacle that is too quick for the joints.
+#: Gain of the force's rate for an obstacle that is too fast for the joints.
 DAMPING = 0.6
 #: Fraction of the joints' top speed and acceleration for the motion along the direction; the rest is for the motion
 #: across it.
@@ -58,7 +57,7 @@ SHARE = 0.9
 
 
 class Press(NamedTuple):
-    """Force that the tip shall exert along a direction."""
+    """Desired force of the tip along a direction, and the bounds of the motion along it."""
 
     direction: Array  #: (3,) unit vector in which the tip presses, world frame
     force: float  #: desired force of the tip on the obstacle [N]
@@ -71,7 +70,7 @@ class Contact(NamedTuple):
 
     found: bool  #: whether the tip has had contact
     speed: float  #: the integral s: speed of the obstacle along the direction [m/s]
-    velocity: float  #: velocity v of the tip by the joints [m/s]
+    velocity: float  #: tip velocity v that the joints shall cause [m/s]
     force: float  #: filtered force f of the tip along the direction [N]
     rate: float  #: filtered rate f' of the force [N/s]
     rate_square: float  #: recent mean square of f' [N^2/s^2]
@@ -82,7 +81,7 @@ NO_CONTACT = Contact(False, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Agility(NamedTuple):
-    """What the joints can do along the direction of a press without motion across it."""
+    """Largest speed and acceleration of the tip along the direction of a press, without motion across it."""
 
     speed: float  #: largest speed of the tip [m/s]
     acceleration: float  #: largest acceleration of the tip [m/s^2]
@@ -98,7 +97,7 @@ def agility(jacobian: Array, speeds: Array, accelerations: Array, direction: Arr
         direction: unit vector (3,).
 
     """
-    joints = speeds * np.linalg.lstsq(jacobian * speeds, direction, rcond=None)[0]  # for a tip at 1 m/s
+    joints = speeds * np.linalg.lstsq(jacobian * speeds, direction, rcond=None)[0]  # they move the tip at 1 m/s
     return Agility(*(SHARE / max(float(np.abs(joints / most).max()), 1e-9) for most in (speeds, accelerations)))
 
 
@@ -106,7 +105,7 @@ def press(
     desired: Press, last: Contact, force: Array, compliance: Array, travel: float, joints: Agility, gain: float,
     delay: float, period: float,
 ) -> Contact:  # fmt: skip
-    """Return the state of a press one period after `last`, with the velocity for the joints.
+    """Return the state of a press one period after `last`, with the tip velocity that the joints shall cause.
 
     Args:
         desired: desired force.
@@ -115,7 +114,7 @@ def press(
         compliance: compliance of the tubes (3, 3) [m/N].
         travel: distance of the tip from the start of the motion along the direction [m].
         joints: largest speed and acceleration of the tip along the direction.
-        gain: gain of the outer loop, with which the tip slows down in front of the end of the reach [1/s].
+        gain: gain of the outer loop; with it, the tip slows down near the end of the reach [1/s].
         delay: delay T from a force to the joints [s].
         period: time between two ticks [s].
     """
@@ -153,5 +152,5 @@ def without_component(vector: Array, direction: Array) -> Array:
 
 
 def replaced_component(vector: Array, direction: Array, component: float) -> Array:
-    """Return a vector (3,) with another component along a unit vector (3,)."""
+    """Return a vector (3,) whose component along a unit vector (3,) is replaced by `component`."""
     return without_component(vector, direction) + component * np.asarray(direction)

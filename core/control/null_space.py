@@ -14,11 +14,11 @@ measured as fractions of their top speeds.
 | `limits` | a joint reaches the end of its travel | a quarter of the travel |
 | `order` | a tube passes the tube around it | 10 mm |
 
-A kink is a joint position where the Jacobian jumps, so the joint velocity of least speed that fulfils the task differs
-on its two sides. Where both velocities point toward the kink, commands that arrive a tenth of a second late belong to
-the wrong side. The joints then oscillate across the kink, and the tip stays millimetres behind its setpoint. For
-motions along the kink both Jacobians agree. The objective therefore resists the joint velocity across the kink, and one
-solution is valid on both sides.
+A kink is a joint position where the Jacobian jumps, so the slowest joint velocity that fulfils the task differs between
+its two sides. Where both velocities point toward the kink, commands that arrive a tenth of a second late belong to the
+wrong side. The joints then oscillate across the kink, and the tip stays millimetres behind its setpoint. For motions
+along the kink both Jacobians agree. The objective therefore resists the joint velocity across the kink. The remaining
+solution is then valid on both sides.
 """
 
 import math
@@ -89,10 +89,9 @@ class NullSpaceObjective:
     def updated_gradient(
         self, statics: Statics, limits: Limits, now: Solution, last: StabilityGradient | None
     ) -> StabilityGradient:
-        """Return the stability gradient after a trial solve with one joint moved away from the nearer end of its
-        travel.
+        """Return the stability gradient after a trial solve, with one joint moved away from the nearer end of travel.
 
-        A trial costs one model solve. While the margin is too large to repel the joints, no trial is made.
+        A trial costs one model solve. No trial is made while the margin is too large to repel the joints.
         """
         last = last or StabilityGradient(np.zeros(now.joints.size), 0)
         if not self.weights.get("stability") or now.stability >= STABILITY_SCALE:
@@ -130,7 +129,7 @@ class NullSpaceObjective:
     ) -> NullSpace:
         """Return the desired velocity away from edges and the resisted rows near `kinks`.
 
-        The other arguments are those of `velocity`.
+        Arguments other than `kinks` are as in `velocity`.
         """
         velocity = self.velocity(limits, joints, margin, slope)
         return NullSpace(velocity, _resisted(kinks.rows, kinks.offsets, joints, limits.packed))
@@ -139,8 +138,8 @@ class NullSpaceObjective:
 def kinks_of(robot: Robot) -> Kinks:
     """Return the kinks of a robot: joint positions where a tube's curvature changes at another tube's end or the plate.
 
-    At a tube's end the bending stiffness changes, so the tip depends on which comes first: this end or the change of
-    curvature. Where the curvatures of two tubes change, the changes add up in either order, and there is no kink.
+    At a tube's end the bending stiffness changes, so the Jacobian depends on which comes first along the robot: this
+    end or the change of curvature. The curvature changes of two tubes add up in either order, so they form no kink.
     """
     slides = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
     rows, offsets = list[Array](), list[float]()

@@ -35,19 +35,19 @@ from core.compiled import compiled
 from core.errors import DescriptionError, NotFinite
 from core.robot.robot import Array, positive
 
-#: Text for a deflection that is not finite.
-_CAUSE = "; the force or the joints are not"
+#: End of the error text for a deflection that is not finite.
+_CAUSE = "; a measured force or joint position is not finite"
 
 
 class FilteredRate(NamedTuple):
-    """A filtered deflection and its rate of change; the same filter also serves the force, in N and N/s."""
+    """A filtered deflection and its rate of change; for the force, the same fields are in N and N/s."""
 
     value: Array  #: (3,) filtered deflection [m]
     rate: Array  #: (3,) rate of change of the filtered deflection [m/s]
 
 
-#: Results of `steady_gain` for the period [s] and the bandwidths [Hz] of the presets: importing filterpy, and with it
-#: scipy.stats, takes a quarter of the processor time of a station's start.
+#: Results of `steady_gain` for the period [s] and the bandwidths [Hz] of the presets. They are stored because importing
+#: filterpy, and with it scipy.stats, takes a quarter of the processor time of a station's start.
 USUAL_GAINS = {
     (0.002, 0.3): (0.005317272533449318, 0.007087197450309125),
     (0.002, 1.0): (0.01761454939670001, 0.07825835113622626),
@@ -59,7 +59,7 @@ USUAL_GAINS = {
 class RateFilter:
     """Steady-state Kalman filter for a quantity and its rate of change.
 
-    A filter with larger `bandwidth` follows a quicker load and passes more of the force sensors' noise.
+    A filter with a larger `bandwidth` follows a faster load and passes more of the force sensors' noise.
     """
 
     period: float  #: time between two measurements [s]

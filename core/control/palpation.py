@@ -1,11 +1,11 @@
 """Palpation: the tip visits places in front of an obstacle and presses on each with two forces, one after the other.
 
 The stiffness of a place is the difference of the two forces over the travel of the tip between them. A constant error
-of the force or of the tip's position cancels in these differences. Each mean is taken over the second half of the time
-for a force, when the force has settled.
+of the force or of the tip's position cancels in these differences. Force and position are averaged over the second half
+of the time for a force, when the force has settled.
 
-The force between the two rises and falls as a ramp. After a jump of the force, the joints would be at their speed
-limits, and the tip would slide across the direction.
+The desired force changes from one force to the other along a ramp. After a jump, the joints would be at their speed
+limits, and the tip would slide across the direction of the press.
 """
 
 import math
@@ -19,12 +19,12 @@ from core.control.force_control import Press
 from core.control.trajectories import Setpoint
 from core.robot.robot import Array, positive
 
-#: Parts of the time between two places: the force decreases to the smaller one, then the tip retreats; in the remaining
-#: time it moves to the next place.
+#: Fractions of the time between two places: the force falls to the smaller force, then the tip retreats. In the
+#: remaining time the tip moves to the next place.
 UNLOADING_SHARE, RETREAT_SHARE = 0.25, 0.2
-#: Part of the time for the greater force in which the force rises to it.
+#: Fraction of the time for the greater force in which the force rises to it.
 LOADING_SHARE = 0.3
-#: Part of the time for a force before its mean is measured.
+#: Fraction of the time for a force after which averaging starts.
 SETTLING_SHARE = 0.5
 #: Largest deviation of a measured mean force from the desired force, as a fraction; beyond it there is no estimate,
 #: because the tip has not found the obstacle or the force has not settled.
@@ -35,7 +35,7 @@ MIN_TRAVEL_M = 1e-4
 
 @dataclass(frozen=True)
 class Palpation:
-    """Trajectory that visits places at the level of the start tip and presses on each with two forces."""
+    """Trajectory that visits places near the start tip and presses on each with two forces, one after the other."""
 
     places: tuple[tuple[float, float, float], ...]  #: offsets from the start tip in the order of the visits [m]
     light: Press  #: first, smaller force at each place
@@ -49,7 +49,7 @@ class Palpation:
 
     @property
     def visit(self) -> float:
-        """Time for one place [s]."""
+        """Duration of the visit of one place [s]."""
         return self.travel + 2.0 * self.dwell
 
     @property

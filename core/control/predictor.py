@@ -43,8 +43,8 @@ class PredictorState(NamedTuple):
     """State of a predictor after its newest frame."""
 
     time: float  #: time of the newest frame [s]
-    states: Array  #: (filters, n) constant (3,) [m], then s and q (3,) of each wave [m], then rates [rad/s]
-    covariances: Array  #: (filters, n, n) of the states
+    states: Array  #: (filters, n) constant c (3,) [m], then s and q (3,) of each wave [m], then the rates w [rad/s]
+    covariances: Array  #: (filters, n, n) covariances of the states
     costs: Array  #: (filters, 2) negative log likelihood of the frames; number of outlier frames in a row
 
 
@@ -66,7 +66,7 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True)
 class NewestFrame:
-    """Predictor that assumes that the target rests at its position in the newest tracker frame."""
+    """Predictor for a target at rest: the prediction is the target's position in the newest tracker frame."""
 
     def start(self, position: Array, time: float) -> PredictorState:
         """Return the predictor's state after a first frame `position` (3,) [m], measured at `time` [s]."""
@@ -117,8 +117,8 @@ class Waves:
             wrong = [rate for rate in rhythm.rates if not 0.0 < rhythm.lowest <= rate <= rhythm.highest < math.inf]
             if wrong or not rhythm.rates or rhythm.waves < 1:
                 raise DescriptionError(
-                    f"waves: a rhythm of {rhythm.waves} waves from {rhythm.rates} Hz, inside {rhythm.lowest:g} ..."
-                    f" {rhythm.highest:g} Hz: give at least one wave, and rates within bounds above 0 Hz"
+                    f"waves: a rhythm has {rhythm.waves} waves, rates {rhythm.rates} Hz, bounds {rhythm.lowest:g} ..."
+                    f" {rhythm.highest:g} Hz; give at least one wave, and rates within bounds above 0 Hz"
                 )
 
     @cached_property
@@ -214,7 +214,7 @@ def _advance(state: Array, covariance: Array, waves: Array, drifts: Array, wave_
             s, q = 3 + 6 * k + i, 6 + 6 * k + i
             state[s], state[q] = cos * state[s] + sin * state[q], cos * state[q] - sin * state[s]
             size += state[s] * state[s] + state[q] * state[q]
-            # Covariance F P F^T with transition matrix F, two rows and columns at a time; F keeps the rates' rows.
+            # Covariance F P F^T with transition matrix F, two rows and columns at a time. F does not change the rates.
             to_s, to_q = turn * state[q], -turn * state[s]
             for j in range(n):
                 a, b, w = covariance[s, j], covariance[q, j], covariance[rate, j]
@@ -271,7 +271,7 @@ def _correct(
 
 @compiled
 def _harmonic_penalty(state: Array, waves: Array) -> float:
-    """Return the additional cost of a filter whose harmonics are larger than their fundamental."""
+    """Return the additional cost of a filter: `HARMONIC_PENALTY` for each harmonic larger than its fundamental."""
     added, first = 0.0, 0.0
     for k in range(waves.shape[0]):
         size = 0.0
@@ -330,7 +330,7 @@ def _finite(position: Array) -> Array:
 
 
 def _time_since_frame(last: PredictorState, time: float) -> float:
-    """Return the time from the last frame until `time` [s]; refuse a `time` that is not later."""
+    """Return the time from the last frame until `time` [s]; raise DescriptionError if `time` is not later."""
     if not time > last.time:
-        raise DescriptionError(f"target: a frame of {time:.4f} s is not later than the last one of {last.time:.4f} s")
+        raise DescriptionError(f"target: the frame at {time:.4f} s must be later than the last one, {last.time:.4f} s")
     return time - last.time

@@ -1,4 +1,4 @@
-"""Reachability check: a test on the model, before the robot moves, whether the robot can follow a motion.
+"""Reachability check: simulate a motion on the model, before the robot moves, to see whether the robot can follow it.
 
 From the start pose, the simulated joints take small steps with the controller's inverse, inside the same limits,
 without noise and delay. If the tip falls behind its path by more than a tolerance, the robot cannot follow the motion.
@@ -118,7 +118,7 @@ def check_reach(
     directions: Directions | None = None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> None:  # fmt: skip
-    """Reject a motion that the robot cannot follow.
+    """Simulate a motion and raise an error if the robot cannot follow it.
 
     Args:
         statics: model of the controller.
@@ -208,7 +208,7 @@ class _Walk:
         return math.hypot(*self._left)
 
     def _check_regions(self, time: float) -> None:
-        """Reject a pose at which a load has pushed the tubes into a region, which the limits of velocities allow."""
+        """Reject a pose at which a load has pushed the tubes into a region; velocity limits do not prevent this."""
         context = SolvedConfiguration(self._statics, self.at)
         for region in self._regions:
             try:
@@ -235,7 +235,7 @@ class _Walk:
         names = self._limits.active(joints, *active)
         if sigma[-1] < NEAR_SINGULAR_M_S:
             names = (f"a singular pose (sigma {1e3 * sigma[-1]:.2g} mm/s)", *names)
-        return ", ".join(names) or "more than the joints can do at once"
+        return ", ".join(names) or "the speed of the motion; slow it down"
 
     def _wrench(self, time: float) -> Array:
         wrench = np.zeros(6)

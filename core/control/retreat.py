@@ -1,33 +1,80 @@
-"""Motion near regions: the retreat of tubes that miss a margin or will miss it before a command takes effect.
+"""Retreat from regions: tubes nearer to a region than its margin, now or before a command takes effect, move away.
 
-The limits of velocities always allow zero velocity, so they cannot require a retreat. During a motion of the tip the
-joint velocities therefore start from the retreat instead of zero: the inverse adds the velocity that moves the tip best
-within the room that the retreat leaves.
+Velocity limits always allow zero velocity, so they cannot require a retreat. During a motion of the tip, the controller
+therefore computes the joint velocities of the retreat first. The inverse then adds the velocities that move the tip
+best within the limits that the retreat leaves.
 
 Near a singular pose two joints may turn fast against each other while the tubes slide along a wall. If the direction
-of the slide reverses, the joints must change their velocities together (`within_acceleration`). Otherwise the first
-joint that reaches its new velocity would let the other one push the tubes into the wall.
+of the slide reverses, the joints must reach their new velocities at the same time (`within_acceleration`). Otherwise
+one joint would reach its new velocity first, and the other one would push the tubes into the wall.
+
+The depth from which a retreat starts bounds its length (`continued_retreat`). A longer retreat means that the region is
+not where the controller assumes it, or that something keeps pushing the tubes. Then the operator must decide.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from core.compiled import compiled
 from core.control.velocity_ik import VelocityTask, inverse
-from core.robot.keep_out import KeepOut
-from core.robot.limits import LimitContext, Limits
+from core.errors import PoseError
+from core.robot.keep_out import RETREAT_TIME_S, TOLERANCE_M, KeepOut, smallest_clearance
+from core.robot.limits import Backbone, LimitContext, Limits
 from core.robot.robot import Array
 
 #: Largest speed of a retreat [m/s].
 MAX_RETREAT_M_S = 0.005
+#: Distance that a retreat may go beyond its depth [m], because the stages and the observed tubes follow with a delay.
+MAX_BEYOND_M = 1e-3
+#: Time that a retreat may take in addition to 2 depth / `MAX_RETREAT_M_S` [s].
+MAX_EXTRA_TIME_S = 2.0
+
+
+class RetreatCourse(NamedTuple):
+    """Progress of a retreat, which lasts while the tubes are more than `TOLERANCE_M` inside a region's margin."""
+
+    depth: float = 0.0  #: largest depth of the tubes inside the margin so far; a load may increase it [m]
+    distance: float = 0.0  #: distance commanded since the start of the retreat [m]
+    duration: float = 0.0  #: time since the start of the retreat [s]
+
+
+#: No retreat in progress.
+NO_RETREAT = RetreatCourse()
+
+
+def continued_retreat(
+    last: RetreatCourse, clearance: float, period: float, regions: Sequence[KeepOut], near: Backbone
+) -> RetreatCourse:
+    """Return a retreat's progress one tick of `period` [s] later; `clearance` is that of the tubes `near` [m].
+
+    Raises:
+        PoseError: the retreat has gone farther, or has lasted longer, than its depth allows.
+    """
+    if clearance > -TOLERANCE_M:
+        return NO_RETREAT
+    speed = min(-clearance / RETREAT_TIME_S, MAX_RETREAT_M_S)
+    now = RetreatCourse(max(last.depth, -clearance), last.distance + period * speed, last.duration + period)
+    farthest, longest = now.depth + MAX_BEYOND_M, 2.0 * now.depth / MAX_RETREAT_M_S + MAX_EXTRA_TIME_S
+    if now.distance <= farthest and now.duration <= longest:
+        return now
+    nearest = smallest_clearance(regions, near)
+    name = "" if nearest is None else nearest[0]
+    raise PoseError(
+        f"the retreat from the region '{name}' has gone {1e3 * now.distance:.2g} mm in {now.duration:.2g} s from a"
+        f" depth of {1e3 * now.depth:.2g} mm (at most {1e3 * farthest:.2g} mm in {longest:.2g} s);"
+        " check the region in the scene, take the load off, and jog the joints away"
+    )
 
 
 def retreat(limits: Limits, at: LimitContext, rows: Array, room: Array) -> Array | None:
-    """Return joint velocities (n,) that retreat from regions, as fast as all limits allow; None: none is necessary.
+    """Return joint velocities (n,) that retreat from regions, as fast as all limits allow; None: no need to retreat.
 
     Args:
         limits: limits of the robot.
         at: state of the robot.
-        rows, room: rows (m, n) and room (m,) of `limits` there; the room is 0 where a retreat is necessary.
+        rows, room: rows (m, n) and room (m,) from `limits.rows(at)`; the room is 0 where a retreat is necessary.
     """
     if room.all():
         return None
@@ -48,7 +95,7 @@ def retreat(limits: Limits, at: LimitContext, rows: Array, room: Array) -> Array
 def inverse_after_retreat(
     limits: Limits, joints: Array, task: VelocityTask, rows: Array, room: Array, retreating: Array | None
 ) -> tuple[Array, ...]:
-    """Return velocity, singular values and active limits of `inverse`, whose velocity starts from a retreat (n,)."""
+    """Return velocity (a retreat (n,) plus the velocity of `inverse`), singular values and active limits."""
     lower, upper = limits.velocity_bounds(joints)
     if retreating is None:
         return tuple(inverse(*task, limits.speed, lower, upper, rows, room))
@@ -59,16 +106,16 @@ def inverse_after_retreat(
 
 
 def room_after(retreating: Array, rows: Array, room: Array) -> Array:
-    """Return the room (m,) that a retreat (n,) leaves; where a retreat is necessary, nothing may slow it."""
+    """Return the room (m,) that the joint velocities (n,) of a retreat leave; it is 0 in rows that need the retreat."""
     return np.where(room > 0.0, np.maximum(room - rows @ retreating, 0.0), 0.0)
 
 
 def within_acceleration(limits: Limits, at: LimitContext, sent: Array, velocity: Array, interval: float) -> Array:
-    """Return joint velocities (n,) that all joints can reach together, from those sent last toward the desired ones.
+    """Return joint velocities (n,) between those sent last and the desired ones that all joints reach at the same time.
 
-    A joint with a smaller change of velocity would otherwise reach it before the other joints. Until these follow, the
-    tubes would move in a direction that no limit allows. Limits allow all velocities between two that they allow. They
-    are never missed for the sake of the accelerations.
+    Otherwise a joint with a small change of velocity would complete it before the other joints. Until these follow, the
+    tubes would move in a direction that the limits forbid. Every velocity between two allowed ones is allowed, too. If
+    limits and accelerations conflict, the limits are kept.
 
     Args:
         limits: limits of the robot.
@@ -88,9 +135,9 @@ def within_acceleration(limits: Limits, at: LimitContext, sent: Array, velocity:
 def _share_of_change(
     lower: Array, upper: Array, rows: Array, room: Array, largest: Array, sent: Array, velocity: Array
 ) -> float:
-    """Return the share of a change of velocities that the joints can follow, or that the limits need if it is more.
+    """Return the part (0 ... 1) of a velocity change that the joints can follow, or the larger part that limits need.
 
-    `largest` (n,) are the changes within the interval [rad/s or m/s].
+    `largest` (n,) contains the largest change of each joint's velocity within the interval [rad/s or m/s].
     """
     share, needed = 1.0, 0.0
     for j in range(sent.size):

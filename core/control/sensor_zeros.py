@@ -27,27 +27,27 @@ import numpy as np
 from core.compiled import compiled
 from core.control.tip_force import SensorErrors
 from core.model.solution import Solution
-from core.robot.robot import Array, Robot, tube_poses, unpack
+from core.robot.robot import Array, Robot, sensor_poses, unpack
 
-#: Time during which errors of model and lever stay similar, three periods of a usual motion [s].
+#: Time during which errors of model and lever stay similar [s]: three periods of a usual motion.
 MODEL_S = 60.0
-#: Time after the tare until which the variance of a zero is that of a steady drift; then the zero is a random walk [s].
+#: Until this time after the tare, a zero's variance grows as with a steady drift; then as in a random walk [s].
 WALK_S = 900.0
-#: Standard deviation [N] and duration [s] of a load along the robot.
+#: Assumed standard deviation [N] and duration [s] of a load along the robot's axis.
 LOAD_N, LOAD_S = 0.1, 60.0
 
 
 class SensorZeros(NamedTuple):
     """Estimated zeros of the base sensors relative to the tare."""
 
-    values: Array  #: (q, 6) zeros, each in the axes of its sensor [N, N m]
-    covariance: Array  #: (6 q, 6 q) covariance of the errors of `values`
+    values: Array  #: (s, 6) zeros, each in the axes of its sensor [N, N m]
+    covariance: Array  #: (6 s, 6 s) covariance of the errors of `values`
     since: float  #: time of the latest update, counted from the tare [s]
 
 
-def start_zeros(tubes: int) -> SensorZeros:
-    """Return the zeros of `tubes` sensors after a tare."""
-    return SensorZeros(np.zeros((tubes, 6)), np.zeros((6 * tubes, 6 * tubes)), 0.0)
+def start_zeros(count: int) -> SensorZeros:
+    """Return the zeros of `count` sensors after a tare."""
+    return SensorZeros(np.zeros((count, 6)), np.zeros((6 * count, 6 * count)), 0.0)
 
 
 def update_zeros(
@@ -64,8 +64,8 @@ def update_zeros(
         load: total force and moment (6,) about the plate's origin, in world axes, of the sensors minus `last`.
         bias: measured tip minus the model's tip under `force` (3,) [m].
         force: force at the tip (3,) [N].
-        misfit: chi square of the moment mismatch relative to `FITS`; above 1 the load does not act at the tip, and the
-            residuals, which assume that it does, lose their weight.
+        misfit: chi square of the moment mismatch over `FITS`. Above 1 the load does not act at the tip. The residuals
+            assume a load at the tip, so they then lose their weight.
         now: time since the tare [s].
 
     """
@@ -88,7 +88,7 @@ def _update(
 ) -> None:  # fmt: skip
     """Compute `update_zeros` in place; `walk`, `lever`, `moment` and `held` are densities."""
     layout = unpack(packed)
-    alpha, beta, _ = tube_poses(layout, joints)
+    alpha, beta = sensor_poses(layout, joints)
     q, base = alpha.shape[0], layout.base
     x, y, z = tip[0] - base[9], tip[1] - base[10], tip[2] - base[11]
     residual, rows, variances = np.zeros(7), np.zeros((7, 6 * q)), np.zeros(7)
@@ -129,7 +129,7 @@ def _update(
             covariance[at + 3, at + 3] += drift[1] * elapsed
     n = 6 * q
     error, gain = np.zeros(n), np.empty(n)
-    for row in range(7):  # the residuals one after the other
+    for row in range(7):  # update with one residual after the other
         expected, surprise = variances[row], residual[row]
         for a in range(n):
             gain[a] = 0.0

@@ -1,7 +1,8 @@
 """Calibrated devices: corrections of every sample, and the total load from the base sensors.
 
 The conversion between a base sensor's reading and the wrench of its tube includes the sensor's gain, its mounting, and
-the weight of parts that hang on the sensor. The sensor's offset is excluded, because it is tared before every run.
+the weight of parts that hang on the sensor. The sensor's offset is excluded, because it is tared before every run. A
+single sensor under the whole robot measures the sum of these wrenches, in the plate's axes at the plate's origin.
 
 **Total load** (section V-A of the paper). Each base sensor measures its tube's share of the load plus the forces
 between the tubes (friction, contact). In the sum over all sensors, in one frame, the forces between the tubes cancel
@@ -15,65 +16,83 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled
-from core.robot.robot import Array, Layout, Robot, tube_poses
+from core.robot.robot import Array, Layout, Robot, sensor_poses, tube_poses
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """Gain errors and mounting of the base sensors, and the weight of other parts than the tubes that hang on them."""
+    """Gain errors and mounting of the base sensors, and weight of the parts that hang on them, without the tubes."""
 
-    mounting: Array  #: (q, 3, 3) rotation from each sensor's axes to its tube's axes
-    weight: Array  #: (q,) weight that hangs on each sensor [N]
-    first_moment: Array  #: (q, 3) hanging weight times the position of its centre in the tube's axes [N m]
+    mounting: Array  #: (s, 3, 3) rotation from each sensor's axes to the axes of its tube, or of the plate
+    weight: Array  #: (q,) weight that moves with each tube and hangs on a sensor [N]
+    first_moment: Array  #: (q, 3) this weight times the position of its centre in the tube's axes [N m]
     #: (3,) direction of gravity in the plate's frame, unit vector
     gravity: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    #: (q, 6, 6) errors of gain and cross-talk: this matrix times the reading is subtracted from the reading; None:
+    #: (s, 6, 6) errors of gain and cross-talk: this matrix times the reading is subtracted from the reading; None:
     #: zero.
     skew: Array | None = None
 
     @cached_property
     def matrix(self) -> Array:
-        """Matrices (q, 6, 6) from a reading without offset to the wrench in the tube's axes, with hanging weight."""
-        turn = np.zeros((len(self.weight), 6, 6))
+        """Matrices (s, 6, 6) that convert readings without offset to wrenches in the tubes' axes, weights included."""
+        turn = np.zeros((len(self.mounting), 6, 6))
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.mounting
         if self.skew is None:
             return turn
         return np.asarray(turn @ (np.eye(6) - self.skew), dtype=np.float64)
 
     @classmethod
-    def ideal(cls, tubes: int) -> "Sensors":
-        """Return sensors with exact gain and mounting, without hanging weight."""
-        return cls(np.tile(np.eye(3), (tubes, 1, 1)), np.zeros(tubes), np.zeros((tubes, 3)))
+    def ideal(cls, robot: Robot) -> "Sensors":
+        """Return the sensors of a robot with exact gain and mounting, without hanging weight."""
+        tubes = len(robot.tubes)
+        return cls(np.tile(np.eye(3), (len(robot.sensor_names), 1, 1)), np.zeros(tubes), np.zeros((tubes, 3)))
 
-    def exerted(self, wrenches: Array, alpha: Array) -> Array:
-        """Return the wrenches (q, 6) in the tubes' axes from readings (q, 6) without offset at rotations alpha (q,)."""
-        return exerted(wrenches, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
+    def exerted(self, robot: Robot, joints: Array, wrenches: Array) -> Array:
+        """Return the wrenches (s, 6) in the tubes' or plate's axes from readings (s, 6) without offset."""
+        return exerted(robot.layout, joints, wrenches, self.matrix, self.weight, self.first_moment, self.gravity)
 
-    def hanging(self, alpha: Array) -> Array:
-        """Return the readings (q, 6) that the hanging weight alone causes at rotations alpha (q,)."""
-        nothing = np.zeros((alpha.size, 6))
-        weight = -exerted(nothing, alpha, self.matrix, self.weight, self.first_moment, self.gravity)
+    def hanging(self, robot: Robot, joints: Array) -> Array:
+        """Return the readings (s, 6) that the hanging weight alone causes at joints (n,)."""
+        weight = -self.exerted(robot, joints, np.zeros((len(self.mounting), 6)))
         return np.asarray(np.linalg.solve(self.matrix, weight[:, :, None])[:, :, 0], dtype=np.float64)
 
 
 @compiled
-def exerted(wrenches: Array, alpha: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array) -> Array:
-    """Compute `Sensors.exerted` in compiled code: readings (q, 6), rotations (q,), then the sensors' parameters."""
+def exerted(
+    layout: Layout, joints: Array, wrenches: Array, matrix: Array, weight: Array, first_moment: Array, gravity: Array
+) -> Array:
+    """Compute `Sensors.exerted` in compiled code: the robot, readings (s, 6), then the sensors' parameters."""
     result = np.zeros_like(wrenches)
-    for i in range(alpha.shape[0]):
-        cos, sin = np.cos(alpha[i]), np.sin(alpha[i])
-        gx, gy, gz = cos * gravity[0] + sin * gravity[1], cos * gravity[1] - sin * gravity[0], gravity[2]
-        x, y, z = first_moment[i, 0], first_moment[i, 1], first_moment[i, 2]
+    alpha, beta, _ = tube_poses(layout, joints)
+    for i in range(wrenches.shape[0]):
         for k in range(6):
             for m in range(6):
                 result[i, k] += matrix[i, k, m] * wrenches[i, m]
-        result[i, 0] -= weight[i] * gx
-        result[i, 1] -= weight[i] * gy
-        result[i, 2] -= weight[i] * gz
-        result[i, 3] -= y * gz - z * gy
-        result[i, 4] -= z * gx - x * gz
-        result[i, 5] -= x * gy - y * gx
+    for i in range(layout.carried.shape[0]):
+        tube: int = layout.carried[i]
+        if tube >= 0:
+            _subtract(result[i], weight[tube], first_moment[tube], alpha[tube], gravity)
+            continue
+        for k in range(alpha.shape[0]):  # the plate does not turn, but the centres of weight turn and slide
+            cos, sin = np.cos(alpha[k]), np.sin(alpha[k])
+            x, y, z = first_moment[k, 0], first_moment[k, 1], first_moment[k, 2]
+            centre = np.array([cos * x - sin * y, sin * x + cos * y, z + weight[k] * beta[k]])
+            _subtract(result[i], weight[k], centre, 0.0, gravity)
     return result
+
+
+@compiled
+def _subtract(wrench: Array, weight: float, first_moment: Array, alpha: float, gravity: Array) -> None:
+    """Subtract a hanging weight from a wrench (6,) in axes that are turned by `alpha` relative to the plate."""
+    cos, sin = np.cos(alpha), np.sin(alpha)
+    gx, gy, gz = cos * gravity[0] + sin * gravity[1], cos * gravity[1] - sin * gravity[0], gravity[2]
+    x, y, z = first_moment[0], first_moment[1], first_moment[2]
+    wrench[0] -= weight * gx
+    wrench[1] -= weight * gy
+    wrench[2] -= weight * gz
+    wrench[3] -= y * gz - z * gy
+    wrench[4] -= z * gx - x * gz
+    wrench[5] -= x * gy - y * gx
 
 
 @dataclass(frozen=True)
@@ -113,16 +132,12 @@ class Corrections:
         part = 1.0 / (1.0 + z)
         return np.array([[1.0 - part * x * x, -part * x * y, -x], [-part * x * y, 1.0 - part * y * y, -y], [x, y, z]])
 
-    def wrenches(self, tared: Array, alpha: Array) -> Array:
-        """Return the tubes' wrenches (q, 6) [N, N m] from tared readings (q, 6) at rotations alpha (q,)."""
-        return self.sensors.exerted(tared, alpha)
+    def offset(self, robot: Robot, joints: Array, readings: Array) -> Array:
+        """Return the tare (s, 6) from readings (s, 6) without load.
 
-    def offset(self, readings: Array, alpha: Array) -> Array:
-        """Return the tare (q, 6) from readings (q, 6) without load.
-
-        The tare excludes the weight of parts that hang on the sensors, because the sensors rotate relative to gravity.
+        The tare excludes the weight of parts that hang on the sensors, because these parts move relative to gravity.
         """
-        return readings - self.sensors.hanging(alpha)
+        return readings - self.sensors.hanging(robot, joints)
 
 
 class FusedLoad(NamedTuple):
@@ -136,10 +151,10 @@ def fuse(wrenches: Array, alpha: Array, beta: Array) -> FusedLoad:
     """Return the sum of the base wrenches in the plate's frame, at its origin.
 
     Args:
-        wrenches: force and moment (q, 6) that each tube exerts on its sensor, in the sensor's
-            axes [N, N m]. Sensor i sits at (0, 0, beta_i) and turns with tube i.
-        alpha: rotation of each tube (q,) [rad].
-        beta: proximal end of each tube (q,) [m].
+        wrenches: force and moment (s, 6) that each tube exerts on its sensor, in the sensor's
+            axes [N, N m]. Sensor i is at (0, 0, beta_i) and turns with tube i.
+        alpha: rotation of each sensor (s,) [rad].
+        beta: position of each sensor along z (s,) [m].
 
     """
     total = _fuse(wrenches, alpha, beta)
@@ -178,8 +193,7 @@ def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
 @compiled
 def fused_at(layout: Layout, joints: Array, wrenches: Array) -> Array:
     """Return force and moment (6,) of `fuse_at`, in compiled code."""
-    alpha, beta, _ = tube_poses(layout, joints)
-    plate = _fuse(wrenches, alpha, beta)
+    plate = _fuse(wrenches, *sensor_poses(layout, joints))
     world = np.zeros(6)
     for i in range(3):
         for j in range(3):

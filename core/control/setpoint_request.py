@@ -1,12 +1,12 @@
 """Setpoint of the tip that follows a goal within motion bounds, for example the latest request of a streaming client.
 
 **Motion bounds.** At the goal, the setpoint has the goal's velocity and no lag. Elsewhere the setpoint approaches the
-goal at the speed from which it can still stop at the goal. The setpoint's velocity, with the remaining displacement e,
-the approach rate K, and the fraction b of the largest acceleration a that is planned for braking, is
+goal at the speed from which it can still stop at the goal. The setpoint's velocity is
 
     v = v_goal + e / |e| c(|e|),    c(s) = K s  up to s = b a / K^2,  sqrt(2 b a (s - b a / (2 K^2)))  beyond,
 
-Near the goal the distance decays exponentially; from farther away the setpoint brakes with constant deceleration. The
+with the remaining displacement e, the approach rate K, the largest acceleration a, and its fraction b for braking. Near
+the goal the distance decays exponentially; from farther away the setpoint brakes with constant deceleration. The
 slope of the speed c(s) is continuous where the two formulas meet. The rest of the acceleration is reserved for the
 motion of the goal.
 
@@ -41,11 +41,11 @@ class MotionBounds:
 
     def __post_init__(self) -> None:
         for name, unit in (("max_speed", "m/s"), ("max_acceleration", "m/s^2"), ("rate", "1/s")):
-            positive(f"pursuit: {name}", getattr(self, name), unit)
+            positive(f"motion bounds: {name}", getattr(self, name), unit)
         if not 0.0 < self.braking <= 1.0:
-            raise DescriptionError(f"pursuit: braking {self.braking:g} must be greater than 0 and at most 1")
+            raise DescriptionError(f"motion bounds: braking {self.braking:g} must be greater than 0 and at most 1")
         if not self.reach > 0.0:
-            raise DescriptionError(f"pursuit: reach {self.reach:g} m must be greater than 0")
+            raise DescriptionError(f"motion bounds: reach {self.reach:g} m must be greater than 0")
 
     def step(self, last: TargetState, goal: TargetState | None, period: float) -> TargetState:
         """Return the setpoint one `period` [s] after `last` on its path to `goal`; without a goal it stops."""

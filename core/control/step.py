@@ -27,7 +27,7 @@ from core.control.force_control import (
 )
 from core.control.null_space import StabilityGradient
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
-from core.control.retreat import within_acceleration
+from core.control.retreat import NO_RETREAT, RetreatCourse, continued_retreat, within_acceleration
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import FusedLoad, fuse_at
 from core.control.shape_correction import (
@@ -43,6 +43,7 @@ from core.control.tip_direction import (
     update_direction,
 )
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
+from core.control.tip_residual import apply_residual
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import NotFinite
 from core.model.backbone import ExpectedMotion, backbone
@@ -56,7 +57,7 @@ class Sample(NamedTuple):
 
     joints: Array  #: (n,) measured joint positions [rad or m]
     sent: Array  #: (n,) joint velocities sent to the stages last [rad/s or m/s]
-    wrenches: Array  #: (q, 6) tared base wrenches, each in its sensor's axes [N, N m]
+    wrenches: Array  #: (s, 6) tared base wrenches, each in its sensor's axes [N, N m]
     tip: Array | None  #: (3,) tip in a new tracker frame [m]; None: no frame arrived since the last tick
     tip_age: float = 0.0  #: time since that tracker frame was measured [s]
     direction: Array | None = None  #: (3,) direction of the tip in the same frame; None: not measured
@@ -69,16 +70,17 @@ class ControllerState(NamedTuple):
     tip: Array  #: (3,) latest measured tip position [m]
     origin: Array  #: (3,) tip at the start of the motion, to which setpoints are relative [m]
     tracked: TrackerVelocity = NO_FRAMES  #: tip velocity from tracker frames, if the controller differentiates them
-    direction: DirectionEstimate | None = None  #: estimate of the tip's direction, if it is estimated
+    direction: DirectionEstimate | None = None  #: estimate of the tip's direction; None: not estimated
     slope: StabilityGradient | None = None  #: gradient of the stability margin, for redundant joints
     zeros: SensorZeros | None = None  #: drift of the base sensors' zeros since the tare, if it is tracked
     deflection: DeflectionForce | None = None  #: force from the deflection, if there is a tracker
     offset: Offset = NO_OFFSET  #: offset of the setpoint that gives way to the force, if a stiffness is configured
-    contact: Contact = NO_CONTACT  #: state of a motion that holds a force
-    correction: ShapeCorrection | None = None  #: correction of the tubes' points, if there are regions
+    contact: Contact = NO_CONTACT  #: state of a press, in a motion with a desired force
+    correction: ShapeCorrection | None = None  #: correction of the points along the tubes, if there are regions
+    retreat: RetreatCourse = NO_RETREAT  #: progress of the present retreat from regions
 
 
-#: Largest recorded clearance, also of a robot without regions [m].
+#: Largest clearance that is recorded [m]; it is also recorded for a robot without regions.
 MAX_CLEARANCE_M = 0.1
 
 
@@ -89,7 +91,7 @@ class Tick(NamedTuple):
     load: FusedLoad
     u_int: Array  #: (3,) tip velocity requested by the outer loop [m/s]
     setpoint: Setpoint
-    sigma: Array  #: singular values of the Jacobian in use, joints in units of top speed [m/s]
+    sigma: Array  #: singular values of the Jacobian in use times the joints' top speeds [m/s]
     at_bound: Array  #: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound
     at_row: Array  #: (m,) 1 where a limit of several joints together is active
     memory: ControllerState
@@ -98,7 +100,7 @@ class Tick(NamedTuple):
     @property
     def delta(self) -> Array:
         """(3,) observed tip velocity minus the requested tip velocity U_int, eq. (27) [m/s]."""
-        return self.memory.estimate.known.velocity_observed - self.u_int
+        return self.memory.estimate.velocity_observed - self.u_int
 
 
 def start_controller(controller: Controller, sample: Sample) -> ControllerState:
@@ -114,31 +116,41 @@ def start_controller(controller: Controller, sample: Sample) -> ControllerState:
     right = _corrected(controller, sample, unloaded.rotation)
     load = fuse_at(controller.statics.robot, right.joints, right.wrenches)
     loaded = controller.statics.solve(right.joints, pure_force(load.force))
+    residual, share = np.zeros(3), 0.0
+    if (packed := controller.estimator.residual_packed) is not None:
+        still = np.zeros(right.joints.size)
+        share = apply_residual(packed, 1.0, still, loaded.numbers, unloaded.numbers, residual)
     tip = loaded.tip.copy() if right.tip is None else right.tip
     zeros = start_zeros(len(sample.wrenches)) if controller.estimator.load.tracks_zeros else None
     deflection = start_deflection(unloaded, tip - loaded.tip) if controller.tracked else None
     estimate = controller.estimator.start(loaded, unloaded, load.force, tip)
+    estimate.known.residual[:], estimate.known.residual_state[:2] = (
+        residual,
+        (share, packed is not None),
+    )
     return ControllerState(estimate, tip, tip, zeros=zeros, deflection=deflection)
 
 
 def set_origin(controller: Controller, memory: ControllerState, origin: Array) -> ControllerState:
-    """Start a motion at rest after a tare: setpoints of this motion are relative to `origin` (3,) [m].
+    """Return the state for a motion that starts at rest after a tare; its setpoints are relative to `origin` (3,) [m].
 
-    The tare has changed the zero of the force, so the estimates restart without load, and the deflection's parts of
-    eq. (22) start at zero. The force from the deflection starts at zero, too.
+    The tare has changed the zero of the force, so the estimates restart without load. The deflection's parts of
+    eq. (22) and the force from the deflection restart at zero, too.
     """
     free, direction = memory.estimate.unloaded, memory.direction
     if direction is not None:
         started = start_direction(controller.estimator, free.rotation[:, 2], direction.observed)
         direction = started._replace(measured_once=direction.measured_once)
-    estimate = controller.estimator.start(free, free, np.zeros(3), origin)
+    estimate, last = controller.estimator.start(free, free, np.zeros(3), origin), memory.estimate.known
+    for name in ("directions", "residual", "residual_state"):
+        getattr(estimate.known, name)[:] = getattr(last, name)
     zeros = start_zeros(len(memory.zeros.values)) if memory.zeros is not None else None
     deflection = start_deflection(free, origin - free.tip) if memory.deflection is not None else None
     return memory._replace(estimate=estimate, origin=origin, direction=direction, zeros=zeros, deflection=deflection)
 
 
 def restart_setpoints_here(memory: ControllerState) -> ControllerState:
-    """Return the state with the present tip as origin of setpoints and its present direction as direction to keep."""
+    """Return the state with the present tip as origin of setpoints and the present direction as start direction."""
     direction = memory.direction
     if direction is not None:
         direction = direction._replace(origin=direction.observed)
@@ -148,10 +160,11 @@ def restart_setpoints_here(memory: ControllerState) -> ControllerState:
 def step(controller: Controller, memory: ControllerState, sample: Sample, order: Setpoint | JointMotion | None) -> Tick:
     """Compute one tick: update the estimates, and compute the joint velocities for `order`.
 
-    The argument `order` is a setpoint to follow, a joint motion to execute, or None to stand still.
+    The argument `order` is a setpoint to follow, a joint motion to execute, or None to stay at rest.
 
     Raises:
-        PoseError, NoSolution: the model has no shape at the measured pose and load.
+        PoseError, NoSolution: the model has no shape at the measured pose and load; the distance from a region jumps;
+            or a retreat from a region has gone farther than its depth.
         NotFinite: a measurement or the command is not finite; no command of this tick may be sent.
 
     """
@@ -169,7 +182,13 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     deflection = memory.deflection
     if deflection is not None and sample.tip is not None:
         deflection = update_deflection(
-            controller.statics, deflection, sample.joints, now.unloaded, now.observed, controller.tube_error
+            controller.statics,
+            deflection,
+            sample.joints,
+            now.unloaded,
+            now.observed,
+            now.known.residual,
+            controller.tube_error,
         )
     force = now.force
     if not controller.senses and deflection is not None:
@@ -179,19 +198,20 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     if not controller.tracked:
         tip = now.loaded.tip
     if controller.differentiates:
-        known = now.known
-        by_joints = known.velocity_observed - known.load_rate - known.drift
+        by_joints = now.velocity_observed - now.load_rate - now.drift
         tracked = differentiate(tracked, by_joints, memory.tip, sample.tip, sample.tip_age, controller.period)
-        drift = tracked.velocity - known.load_rate
+        drift = tracked.velocity - now.load_rate
     direction = None
     if controller.aim.lever > 0.0 or controller.watches:
         direction = _direction_estimate(controller, memory.direction, now, sample)
     slope, offset, contact = memory.slope, NO_OFFSET, NO_CONTACT
-    near, clearance, correction = None, MAX_CLEARANCE_M, memory.correction
+    near, clearance, correction, retreat = None, MAX_CLEARANCE_M, memory.correction, NO_RETREAT
     if controller.regions:
         correction = _shape_correction(controller, correction, now, sample)
         near = _observed_tubes(controller, correction, now)
         clearance = min(clearance, *(region.smallest_distance(near) for region in controller.regions))
+        if isinstance(order, Setpoint):
+            retreat = continued_retreat(memory.retreat, clearance, controller.period, controller.regions, near)
     if isinstance(order, Setpoint):
         followed = order
         if controller.stiffness is not None:
@@ -230,7 +250,8 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
     return Tick(
         found.velocity, load, found.u_int, order, found.sigma, found.at_bound, found.at_row,
         ControllerState(
-            now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset, contact, correction
+            now, tip, memory.origin, tracked, direction, slope, zeros, deflection, offset, contact, correction,
+            retreat,
         ),
         clearance,
     )  # fmt: skip
@@ -239,7 +260,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
 def _shape_correction(
     controller: Controller, last: ShapeCorrection | None, now: Estimate, sample: Sample
 ) -> ShapeCorrection:
-    """Return the correction of the tubes' points; every tracker frame updates it."""
+    """Return the correction of the points along the tubes; every tracker frame updates this correction."""
     statics, causes, noise = controller.statics, controller.error_causes, controller.estimator.observer.noise
     if last is None:
         return start_correction(statics, causes, now.loaded, noise)
@@ -247,23 +268,25 @@ def _shape_correction(
 
 
 def _observed_tubes(controller: Controller, correction: ShapeCorrection, now: Estimate) -> Backbone:
-    """Return the tubes bent to the observed tip, with the motion that a command sent now cannot change."""
+    """Return the points of the tubes, bent to the observed tip, and their motion until a command takes effect."""
     known, lead_time = now.known, controller.estimator.actuation.lead_time + STAGES_LAG_S
     expected = ExpectedMotion(known.ahead, known.force_rate, known.drift, lead_time)
-    return backbone(controller.statics, now.loaded, now.observed.tip, expected, correction.weights)
+    # `backbone` moves the model's points by `tip` minus the solved tip. Only the solved tip contains the residual.
+    tip = now.observed.tip + known.residual
+    return backbone(controller.statics, now.loaded, tip, expected, correction.weights)
 
 
 def _pressing(
     controller: Controller, memory: ControllerState, now: Estimate, force: Array, tip: Array, desired: Press,
     order: Setpoint,
 ) -> tuple[Setpoint, Setpoint, Contact]:  # fmt: skip
-    """Return the setpoint without an error along the direction of a press, the setpoint for the loops, and its state.
+    """Return the setpoint to record (no error along the press), the setpoint for the loops, and the press's state.
 
     The loops multiply the remaining distance by k1 and subtract the motion of the tip that the joints do not cause. The
-    setpoint for the loops contains both, so that the joints alone move the tip with the velocity of the press.
+    setpoint for the loops compensates both, so that the joints alone move the tip with the velocity of the press.
     """
-    known, along, gain = now.known, desired.direction, controller.strategy.gain
-    here = (known.tip_ahead if controller.feedback.observes else tip) - memory.origin
+    along, gain = desired.direction, controller.strategy.gain
+    here = (now.tip_ahead if controller.feedback.observes else tip) - memory.origin
     at = now.observed.tip - memory.origin
     _, _, speeds, accelerations, *_ = controller.limits.packed
     contact = press(
@@ -271,7 +294,7 @@ def _pressing(
         agility(now.loaded.jacobian[:3], speeds, accelerations, along), gain,
         controller.force_delay, controller.period,
     )  # fmt: skip
-    not_by_joints = float(along @ known.load_rate + along @ known.drift)
+    not_by_joints = float(along @ now.load_rate + along @ now.drift)
     across = without_component(order.velocity, along)
     aim = replaced_component(order.position, along, float(along @ here) + (contact.velocity + not_by_joints) / gain)
     shown = replaced_component(order.position, along, float(along @ at))
@@ -284,7 +307,7 @@ def _yielding(
 ) -> tuple[Setpoint, Setpoint, Offset]:  # fmt: skip
     """Return the setpoint that gives way to the force, the setpoint for the loops, and the offset of both.
 
-    The loops multiply the remaining distance by k1. Where contact allows less, the setpoint for the loops is nearer.
+    The loops multiply the remaining distance by k1. Where contact needs a smaller gain, their setpoint is nearer.
     """
     feedback, gain = controller.feedback, controller.strategy.gain
     rotation = now.loaded.rotation
@@ -293,7 +316,7 @@ def _yielding(
     order = order._replace(
         position=order.position + offset.position, velocity=order.velocity + offset.velocity, stiffness=stiffness
     )
-    here = (now.known.tip_ahead if feedback.observes else tip) - memory.origin
+    here = (now.tip_ahead if feedback.observes else tip) - memory.origin
     ahead = feedback.lead_time * order.velocity
     nearer = here + rates.gain @ (order.position + ahead - here) / gain - ahead
     return order, order._replace(position=nearer), offset
@@ -329,7 +352,7 @@ def _corrected(controller: Controller, sample: Sample, rotation: Array) -> Sampl
     corrections = controller.corrections
     if corrections is None:
         return sample
-    alpha, _ = controller.statics.robot.tube_poses(sample.joints)
     tip = None if sample.tip is None else corrections.tip(sample.tip, rotation)
     direction = None if sample.direction is None else corrections.direction(sample.direction, rotation)
-    return sample._replace(wrenches=corrections.wrenches(sample.wrenches, alpha), tip=tip, direction=direction)
+    wrenches = corrections.sensors.exerted(controller.statics.robot, sample.joints, sample.wrenches)
+    return sample._replace(wrenches=wrenches, tip=tip, direction=direction)

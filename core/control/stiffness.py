@@ -1,7 +1,7 @@
 """Stiffness of the tip: the setpoint gives way to the force at the tip.
 
 The loops compensate the natural deflection of the tubes, so alone they make the tip as stiff as the joints allow. With
-a desired stiffness K_d, the setpoint moves by K_d^-1 F from where the motion has put it:
+a desired stiffness K_d, the setpoint moves by K_d^-1 F away from the setpoint of the motion:
 
     d' = W (K_d^-1 F - d),    |d| <= max_offset,    |d'| <= MAX_SPEED_M_S
 
@@ -10,23 +10,22 @@ wrong force, or a contact that is lost, moves the setpoint by `max_offset` at mo
 
 **Stability in contact.** A rigid obstacle turns a joint motion that would move the free tip by x into the force -K_n x,
 where K_n is the natural stiffness of the tubes. The eigenvalues r of K_d^-1 K_n state how many times softer than the
-tubes the tip shall be. For each of them, with the rate w of W, the gain k of the outer loop and the delay T from a
-force to the joints, the loop of force and setpoint is
+tubes the tip shall be. For each eigenvalue, the open loop of force and setpoint follows from the rate w of W, the gain
+k of the outer loop and the delay T from a force to the joints:
 
     L(s) = r w (s + k) / (s (s + w)) exp(-s T)
 
-It crosses 1 near r w for k <= w, and r w T <= `MAX_CROSSOVER_DELAY` leaves enough phase margin. So both the rate w and
-the gain k of each eigenvector are at most `MAX_CROSSOVER_DELAY` / (r T). The tubes are stiffest along their axis; there
-the tip returns to its setpoint slowly. A stiffness that would need a gain below `MIN_GAIN_PER_S` is refused.
+For k <= w its gain is 1 near the frequency r w, and r w T <= `MAX_CROSSOVER_DELAY` leaves enough phase margin. So both
+w and k of each eigenvector are at most `MAX_CROSSOVER_DELAY` / (r T). The tubes are stiffest along their axis; there
+the tip returns to its setpoint slowly. A stiffness that would need a gain below `MIN_GAIN_PER_S` is rejected.
 
-**Axes.** The three values of a stiffness are along the axes of the world frame, or along those of the tip. The frame of
-the tip is that of the loaded model: z is the tangent at the tip, and x and y are fixed in the innermost tube. If this
-tube is straight and at rotation 0, they are the axes x and y of the front plate. K_d^-1 turns with this frame in every
-tick.
+**Axes.** The three values of a stiffness are along the axes of the world frame, or along those of the tip. The tip
+frame comes from the loaded model: z is the tangent at the tip, and x and y are fixed in the innermost tube. If this
+tube is straight and at rotation 0, x and y are those of the front plate. K_d^-1 turns with the tip frame in every tick.
 
 **Changes.** While a motion runs, `StiffnessRamp` changes the compliance linearly within `RAMP_S`. The setpoint then
 moves by the force times the change of the compliance, within the bounds above. The largest eigenvalue of K_d^-1 K_n is
-a convex function of the compliance, so no stiffness in between is softer than the softer end.
+a convex function of the compliance, so no stiffness in between is softer than the softer one of the two.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +38,7 @@ from core.errors import DescriptionError
 from core.model.solution import PartsReader
 from core.robot.robot import Array, positive
 
-#: Largest product of crossover frequency and delay [rad]: the delay takes this much of the phase margin.
+#: Largest product of crossover frequency and delay [rad]: the delay reduces the phase margin by this angle.
 MAX_CROSSOVER_DELAY = 0.5
 #: Largest rate of the filter [1/s]; a faster filter would pass the noise of the force to the joints.
 MAX_RATE_PER_S = 10.0
@@ -153,7 +152,7 @@ class TipStiffness:
 
 
 class StiffnessRamp(NamedTuple):
-    """Change of the stiffness within `RAMP_S`; both have the same frame."""
+    """Change from one stiffness to another within `RAMP_S`; both have the same frame."""
 
     first: TipStiffness
     last: TipStiffness

@@ -30,7 +30,7 @@ ARROW_LENGTH_M = 0.02
 #: Default lever: weight of an error of the tip's direction compared with an error of its position [m/rad].
 DEFAULT_LEVER_M = 0.05
 
-#: Replacement of `SIGMA_FLOOR_M_S` for tasks with a direction [m/s]: smallest singular value without damping. A coil's
+#: Smallest singular value without damping for tasks with a direction [m/s]; it replaces `SIGMA_FLOOR_M_S`. A coil's
 #: axis is noisier than its position. With less damping the joints would oscillate at full speed to reach directions
 #: that are almost out of reach.
 DIRECTION_SIGMA_FLOOR_M_S = 2e-3
@@ -116,7 +116,7 @@ class _DirectionFields(NamedTuple):
 
 @compiled
 def _shapes(size: int) -> Shapes:
-    """Return the shapes of the `_DirectionFields` of an array with `size` values; the arrows take the remainder."""
+    """Return the shapes of the `_DirectionFields` in an array of `size` values; `arrows` takes the remainder."""
     return (5, 3), (1, 3), (1, 3), (1, 3), (1, 3), (1, 2), ((size - 29) // 3, 3)
 
 
@@ -252,7 +252,7 @@ def _direction_rows(
     lever: float, number: int, gain: float, feedforward: float, lead_time: float,
     loaded: Array, unloaded: Array, vectors: Array, numbers: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Compute `DirectionTask.rows`; the rows of `vectors` are the desired direction, its turning, and the direction."""
+    """Compute `DirectionTask.rows`; rows of `vectors`: desired direction, its angular velocity, present direction."""
     desired, turning, here = vectors[0], vectors[1], vectors[2]
     with_load, free, now = fields(loaded), fields(unloaded), _direction_fields(numbers).now
     aimed = _unit(desired + lead_time * _cross(turning, desired))
@@ -277,7 +277,7 @@ def shortest_rotation(here: Array, there: Array) -> Array:
 
 
 def task_rows(aim: TaskSelection, jacobian: Array, rotation: Array) -> Array:
-    """Return the control task's rows from the rows (6, n) of J or C; `rotation` (3, 3) is the tip's frame."""
+    """Return the control task's rows from the six rows of J or C, (6, n); `rotation` (3, 3) is the tip's frame."""
     parts = [aim.position * jacobian[:3]] * (aim.position > 0.0) + [aim.lever * rotation.T[:2] @ jacobian[3:]] * (
         aim.lever > 0.0
     )

@@ -1,7 +1,7 @@
 """Force at the tip: the best linear unbiased estimate from all forces and moments of the base sensors.
 
-The total wrench of all base sensors does not contain the forces between the tubes. Let c be the point on the tubes'
-axis about which the errors e_F and e_M of total force F and moment M are uncorrelated. This point is the mean of the
+In the total wrench of all base sensors the forces between the tubes cancel. Let c be the point on the tubes' axis about
+which the errors e_F and e_M of the total force F and moment M are uncorrelated. This point is the mean of the
 sensors' positions, weighted by the variances of their force errors. With the tip force f and the model's loaded tip r
 of the previous tick,
 
@@ -27,7 +27,7 @@ import numpy as np
 
 from core.compiled import compiled
 from core.errors import DescriptionError
-from core.robot.robot import Array, Layout, tube_poses
+from core.robot.robot import Array, Layout, sensor_poses
 
 #: Rows of the estimator's state (5, 3), passed from tick to tick.
 FORCE, VARIANCE, COVARIANCE, MISMATCH, QUALITY = range(5)
@@ -39,15 +39,15 @@ BANDWIDTH, MISFIT, SINCE = range(3)
 FITS = 16.266
 #: Time constant with which the moment mismatch is averaged [s].
 MISMATCH_TIME_S = 0.1
-#: Factor 3 / (2 sqrt 2) times 2 pi: the force filter multiplies the variance of white noise by this factor times its
-#: bandwidth times the period.
+#: Factor 2 pi 3 / (2 sqrt 2): the force filter multiplies the variance of white noise by this factor times bandwidth
+#: times period.
 PASSED = 6.66
 #: A sensor channel with this noise or more counts as missing, and its reading is not used [N or N m].
 MISSING = 1e3
 #: Product of the force filter's bandwidth and the standard deviation of the force's error [Hz N]; the adaptive
 #: bandwidth is this product divided by the present standard deviation.
 BANDWIDTH_TIMES_DEVIATION_HZ_N = 0.01
-#: Drift time after which the tracker keeps the errors of tracked zeros from growing, see `sensor_zeros` [s].
+#: Largest effective drift time of tracked zeros [s]: later, the tracker keeps their errors from growing.
 TRACKED_DRIFT_S = 300.0
 #: Upper and lower bound of the force filter's adaptive bandwidth [Hz].
 WIDEST_HZ, NARROWEST_HZ = 3.0, 0.5
@@ -55,10 +55,10 @@ WIDEST_HZ, NARROWEST_HZ = 3.0, 0.5
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Errors of the base sensors as standard deviations; each noise is one number per tube or one number for all.
+    """Errors of the base sensors as standard deviations; each noise is one number per sensor or one number for all.
 
-    The defaults describe an ATI Nano43 SI-18-0.25. Its noise was measured. ATI states the largest error, 1 % of the
-    ranges; a third of the square of this error is used as variance. The drift is that of the virtual lab.
+    The defaults describe an ATI Nano43 SI-18-0.25. Its noise was measured. ATI states a largest error of 1 % of the
+    range; the variance is a third of the square of this error. The drift is that of the virtual lab.
     """
 
     force_noise: float | tuple[float, ...] = 0.02  #: force noise of one sample [N]; inf: the sensor measures no force
@@ -75,17 +75,16 @@ class SensorErrors:
         """Variances (q or 1, 2) of the noise of a sensor's forces and moments."""
         deviations = np.stack(np.broadcast_arrays(*map(np.atleast_1d, (self.force_noise, self.moment_noise))), axis=1)
         if not (deviations > 0.0).all():
-            raise DescriptionError(f"sensor noise {deviations.tolist()} N, N m must be greater than 0, inf for none")
+            raise DescriptionError(f"sensor noise {deviations.tolist()} N, N m must be above 0 (inf: not measured)")
         return np.asarray(np.minimum(deviations, MISSING) ** 2, dtype=np.float64)
 
     @cached_property
     def drift(self) -> Array:
-        """Squares (q or 1, 2) of the drift rates of a sensor's forces and moments; 0 for what it does not measure."""
+        """Squares (q or 1, 2) of the drift rates of a sensor's forces and moments; 0 for a missing channel."""
         return np.where(self.noise < MISSING**2, np.array([self.force_drift, self.moment_drift]) ** 2, 0.0)
 
 
-#: Gain error of a calibrated sensor's axis as a fraction of its range: the part of 1 % that remains after `calibrate
-#: tubes`.
+#: Gain error of a sensor's axis that remains after `calibrate tubes`, as a fraction of its range (1 % before).
 CALIBRATED_GAIN = 0.001
 
 
@@ -133,7 +132,7 @@ def estimate_force(
         settings: packed settings `LoadEstimator.settings`.
         period: time between two ticks [s].
         layout, joints: description and joint positions of the robot.
-        wrenches: wrenches (q, 6) that the tubes exert on their sensors, tared, each in its tube's axes [N, N m].
+        wrenches: wrenches (s, 6) on the sensors, tared, each in its tube's or the plate's axes [N, N m].
         tip: the model's loaded tip (3,), world frame [m].
         last, now: states (5, 3) of the previous tick and of this tick; the rows are `FORCE` ... `QUALITY`.
 
@@ -143,7 +142,7 @@ def estimate_force(
     noise = settings[10:].reshape(-1, 2)
     bandwidth, since = last[QUALITY, BANDWIDTH], last[QUALITY, SINCE] + period
     passed, elapsed = min(PASSED * bandwidth * period, 1.0), min(since, tracked) ** 2
-    alpha, beta, _ = tube_poses(layout, joints)
+    alpha, beta = sensor_poses(layout, joints)
     # Total wrench about the plate's origin in the plate's axes, and sums of the variances of forces and moments.
     fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a, at, b = 0.0, 0.0, 0.0

@@ -8,17 +8,23 @@ import bisect
 import itertools
 import math
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple, Protocol, cast
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, cast
 
 import numpy as np
+from pydantic import Field, field_validator
 
 from core.control.force_control import Press
 from core.control.stiffness import TipStiffness
 from core.errors import DescriptionError
-from core.robot.robot import Array, positive
+from core.robot.robot import Array
+from core.strict import Direction, Position, Row, Strict
+
+_Rows = tuple[tuple[float, float, float, float], ...]
 
 ZERO_VELOCITY = np.zeros(3)
+#: Smallest and largest length of a direction vector. The length has no meaning, but its square must be finite.
+MIN_DIRECTION, MAX_DIRECTION = 1e-9, 1e9
 
 
 class Setpoint(NamedTuple):
@@ -53,39 +59,39 @@ class Trajectory(Protocol):
 
 #: Shortest time between two waypoints [s].
 MIN_WAYPOINT_INTERVAL_S = 1e-3
-#: Latest time [s] and largest offset per axis [m] of a waypoint: one day and 10 m, more than a motion needs. Far larger
-#: numbers would overflow the spline's coefficients.
+#: Latest time [s] and largest offset per axis [m] of a waypoint: one day and 10 m, more than a motion needs. Much
+#: larger numbers would overflow the spline's coefficients.
 MAX_TIME_S, MAX_OFFSET_M = 86_400.0, 10.0
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Direction of the tip over time: it rotates from one direction to the next about one axis and rests at each."""
+    """Direction of the tip over time: it rotates from each direction to the next about a fixed axis and stops there."""
 
-    times: tuple[float, ...]  #: increasing times at which the tip has each direction [s]
-    directions: tuple[tuple[float, float, float], ...]  #: vectors of any nonzero length; none opposite to the next
+    rows: _Rows  #: increasing times [s], each with a vector of any nonzero length; none is opposite to the next
 
     def __post_init__(self) -> None:
-        if not self.times or len(self.times) != len(self.directions):
-            raise DescriptionError(
-                f"directions: {len(self.times)} times and {len(self.directions)} directions; give one each"
-            )
         for time in self.times:
             if not abs(time) <= MAX_TIME_S:
                 raise DescriptionError(f"directions: time {time:g} s is outside +-{MAX_TIME_S:g} s")
         for before, after in zip(self.times, self.times[1:], strict=False):
             if not after - before >= MIN_WAYPOINT_INTERVAL_S:
                 raise DescriptionError(
-                    f"directions: {after:g} s does not come {1e3 * MIN_WAYPOINT_INTERVAL_S:g} ms or more after"
-                    f" {before:g} s"
+                    f"directions: the time {after:g} s must be {1e3 * MIN_WAYPOINT_INTERVAL_S:g} ms or more after"
+                    f" the time before it, {before:g} s"
                 )
         for first, second in itertools.pairwise(self._units):
             if float(first @ second) < -0.999:
-                raise DescriptionError("directions: two consecutive ones are opposite; add a direction between them")
+                raise DescriptionError("directions: two consecutive directions are opposite; add one between them")
+
+    @cached_property
+    def times(self) -> tuple[float, ...]:
+        """Times at which the tip has each direction [s]."""
+        return tuple(row[0] for row in self.rows)
 
     @cached_property
     def _units(self) -> list[Array]:
-        return [_unit("directions", direction) for direction in self.directions]
+        return [_unit("directions", row[1:]) for row in self.rows]
 
     def at(self, time: float) -> tuple[Array, Array]:
         """Return the direction (3,) and its angular velocity (3,) [rad/s] at `time` [s]."""
@@ -105,16 +111,16 @@ class Directions:
 
 
 def _setpoint(x: float, y: float, z: float, vx: float, vy: float, vz: float) -> Setpoint:
-    """Return a setpoint from numbers: each operation on small arrays takes a microsecond."""
+    """Return a setpoint from numbers, which avoids operations on small arrays: each takes a microsecond."""
     both = np.array((x, y, z, vx, vy, vz))
     return Setpoint(both[:3], both[3:])
 
 
 @dataclass(frozen=True)
 class Pressed:
-    """Another trajectory, with a force along a direction."""
+    """A trajectory with a force along a direction."""
 
-    path: Trajectory  #: only its part across the direction is followed
+    path: Trajectory  #: trajectory of the tip; only its component across the direction is followed
     press: Press
 
     @property
@@ -127,125 +133,120 @@ class Pressed:
         return self.path.setpoint(time)._replace(press=self.press)
 
 
-@dataclass(frozen=True)
-class Hold:
-    """Trajectory that stays at the start tip (regulation)."""
+class PointedMotion(Strict):
+    """A motion with a desired direction of the tip, for controllers whose task includes the direction."""
 
-    period = 0.0  #: [s]; the tip never moves
+    directions: Annotated[tuple[Annotated[tuple[float, float, float, float], Row], ...], Row] = ()
+    """time [s] and the desired direction x, y, z of the tip; empty keeps the direction at the start"""
+
+    @field_validator("directions")
+    @classmethod
+    def _can_be(cls, rows: _Rows) -> _Rows:
+        try:
+            directions_of(rows)
+        except DescriptionError as error:
+            raise ValueError(str(error)) from None
+        return rows
+
+
+def directions_of(rows: _Rows) -> Directions | None:
+    """Return the direction of the tip over time; None keeps the direction at the start."""
+    return Directions(rows) if rows else None
+
+
+class HoldMotion(PointedMotion):
+    """Keep the tip where it is."""
+
+    kind: Literal["hold"] = "hold"
+
+    @property
+    def period(self) -> float:
+        """Time until the motion is at rest [s]."""
+        return 0.0
 
     def setpoint(self, time: float) -> Setpoint:  # noqa: ARG002 - the same at any time
         """Return offset zero at any time."""
         return Setpoint(np.zeros(3), np.zeros(3))
 
 
-@dataclass(frozen=True)
-class Step:
-    """Trajectory that jumps from the start tip to another position; back and forth if `stay` is finite."""
+class StepMotion(PointedMotion):
+    """Step the desired position of the tip, to measure the step response."""
 
-    offset: tuple[float, float, float]  #: offset of the other position from the start tip [m]
-    stay: float = math.inf  #: time that the setpoint stays at either position [s]
-    period = 0.0  #: [s]; the setpoint is at rest except for single jumps
+    kind: Literal["step"] = "step"
+    offset: Position
+    """offset of the second position from the tip at the start [m]"""
+    stay: Annotated[float, Field(gt=0.0, le=3600.0)] | None = None
+    """time at each of the two positions before the next step [s]; if not set, there is only one step"""
 
-    def __post_init__(self) -> None:
-        if not all(math.isfinite(part) for part in self.offset):
-            raise DescriptionError(f"step: offset {self.offset} m is not finite")
-        if not self.stay > 0.0:
-            raise DescriptionError(f"step: stay {self.stay:g} s must be greater than 0")
+    @property
+    def period(self) -> float:
+        """Time until the motion is at rest [s], except for single steps."""
+        return 0.0
 
     def setpoint(self, time: float) -> Setpoint:
         """Return the start tip or the other position, depending on `time` [s]; the velocity is zero."""
-        there = math.isinf(self.stay) or int(time / self.stay) % 2 == 0
+        there = self.stay is None or int(time / self.stay) % 2 == 0
         return Setpoint(np.array(self.offset) if there else np.zeros(3), np.zeros(3))
 
 
-@dataclass(frozen=True)
-class Sinusoid:
-    """Trajectory that oscillates along a line through the start tip."""
+class SinusoidMotion(PointedMotion):
+    """Move the tip back and forth along a line."""
 
-    direction: tuple[float, float, float]  #: direction of the line, a vector of any nonzero length
-    amplitude: float  #: largest distance from the start tip [m]
-    frequency: float  #: number of oscillations per second [Hz]
-
-    def __post_init__(self) -> None:
-        positive("sinusoid: amplitude", self.amplitude, "m")
-        positive("sinusoid: frequency", self.frequency, "Hz")
-        _unit("sinusoid", self.direction)
+    kind: Literal["sinusoid"] = "sinusoid"
+    direction: Direction = (0.0, 0.0, 1.0)
+    """direction of the line, world frame; its length does not matter"""
+    amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
+    """largest displacement to either side [m]"""
+    frequency: Annotated[float, Field(gt=0.0, le=5.0)]
+    """frequency of the oscillation [Hz]"""
 
     @property
     def period(self) -> float:
         """Duration of one oscillation [s]."""
         return 1.0 / self.frequency
 
-    @cached_property
-    def _axis(self) -> list[float]:
-        return _unit("sinusoid", self.direction).tolist()
-
     def setpoint(self, time: float) -> Setpoint:
         """Return amplitude * sin(2 pi f t) along the direction."""
-        (x, y, z), rate = self._axis, 2.0 * math.pi * self.frequency
+        (x, y, z), rate = _axis(self.direction), 2.0 * math.pi * self.frequency
         offset, speed = self.amplitude * math.sin(rate * time), self.amplitude * rate * math.cos(rate * time)
         return _setpoint(x * offset, y * offset, z * offset, x * speed, y * speed, z * speed)
 
 
-@dataclass(frozen=True)
-class Circle:
-    """Trajectory along a circle through the start tip, at constant speed."""
+class CircleMotion(PointedMotion):
+    """Move the tip along a circle through its start."""
 
-    radius: float  #: radius of the circle [m]
-    period: float  #: time of one turn [s]
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the circle's axis
-
-    def __post_init__(self) -> None:
-        positive("circle: radius", self.radius, "m")
-        positive("circle: period", self.period, "s")
-        _unit("circle", self.normal)
-
-    @cached_property
-    def _plane(self) -> list[list[float]]:
-        return np.transpose(_plane(_unit("circle", self.normal))).tolist()
+    kind: Literal["circle"] = "circle"
+    radius: Annotated[float, Field(gt=0.0, le=0.1)]
+    """radius of the circle [m]"""
+    period: Annotated[float, Field(ge=0.2, le=3600.0)]
+    """time for one turn [s]"""
+    normal: Direction = (0.0, 0.0, 1.0)
+    """axis of the circle, world frame; its length does not matter"""
 
     def setpoint(self, time: float) -> Setpoint:
         """Return a point of the circle; the circle starts at offset zero, and its centre is one `radius` away."""
-        rate = 2.0 * math.pi / self.period
-        cos, sin = math.cos(rate * time), math.sin(rate * time)
-        a, b = self.radius * (cos - 1.0), self.radius * sin
-        c, d = self.radius * rate * cos, self.radius * rate * sin
-        return _setpoint(
-            *[first * a + second * b for first, second in self._plane],
-            *[second * c - first * d for first, second in self._plane],
-        )
+        return _on_circle(self.radius, self.period, self.normal, time)
 
 
-@dataclass(frozen=True)
-class Helix:
-    """Trajectory along a helix at constant speed; after the last turn the setpoint stays at rest."""
+class HelixMotion(PointedMotion):
+    """Move the tip along a helix: turn about an axis while advancing along this axis."""
 
-    radius: float  #: radius of the helix [m]
-    pitch: float  #: advance along the axis in one turn, of either sign [m]
-    turn: float  #: time for one turn [s]
-    turns: float  #: number of turns
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  #: direction of the helix's axis
-
-    def __post_init__(self) -> None:
-        positive("helix: radius", self.radius, "m")
-        positive("helix: turn", self.turn, "s")
-        positive("helix: turns", self.turns, "")
-        if not math.isfinite(self.pitch):
-            raise DescriptionError(f"helix: pitch {self.pitch:g} m is not finite")
-        _unit("helix", self.axis)
+    kind: Literal["helix"] = "helix"
+    radius: Annotated[float, Field(gt=0.0, le=0.1)]
+    """radius of the turns [m]"""
+    pitch: Annotated[float, Field(ge=-0.1, le=0.1)]
+    """advance per turn along `axis`; a negative pitch moves against it [m]"""
+    turn: Annotated[float, Field(ge=0.2, le=3600.0)]
+    """time for one turn [s]"""
+    turns: Annotated[float, Field(gt=0.0, le=1000.0)]
+    """number of turns; after them the tip stays at the end of the helix"""
+    axis: Direction = (0.0, 0.0, 1.0)
+    """axis of the helix, world frame; its length does not matter"""
 
     @property
     def period(self) -> float:
-        """Time until it is at rest [s]."""
+        """Time until the motion is at rest [s]."""
         return self.turns * self.turn
-
-    @cached_property
-    def _axis(self) -> Array:
-        return _unit("helix", self.axis)
-
-    @cached_property
-    def _circle(self) -> Circle:
-        return Circle(self.radius, self.turn, self.axis)
 
     def setpoint(self, time: float) -> Setpoint:
         """Return a point of the helix; the helix starts at offset zero, like the circle."""
@@ -254,8 +255,39 @@ class Helix:
         return self._at(time)
 
     def _at(self, time: float) -> Setpoint:
-        round_, speed = self._circle.setpoint(time), self._axis * (self.pitch / self.turn)
+        round_ = _on_circle(self.radius, self.turn, self.axis, time)
+        speed = np.array(_axis(self.axis)) * (self.pitch / self.turn)
         return Setpoint(round_.position + speed * time, round_.velocity + speed)
+
+
+def _on_circle(radius: float, period: float, normal: tuple[float, float, float], time: float) -> Setpoint:
+    plane, rate = _plane(normal), 2.0 * math.pi / period
+    cos, sin = math.cos(rate * time), math.sin(rate * time)
+    a, b = radius * (cos - 1.0), radius * sin
+    c, d = radius * rate * cos, radius * rate * sin
+    return _setpoint(
+        *[first * a + second * b for first, second in plane],
+        *[second * c - first * d for first, second in plane],
+    )
+
+
+# The results of both functions are cached, because each tick of a motion calls them with the same direction.
+@lru_cache(maxsize=64)
+def _axis(direction: tuple[float, float, float]) -> list[float]:
+    """Return the unit vector of a direction."""
+    return _unit("motion", direction).tolist()
+
+
+@lru_cache(maxsize=64)
+def _plane(normal: tuple[float, float, float]) -> list[list[float]]:
+    """Return pairs of coordinates of two unit vectors that are perpendicular to `normal` and to each other.
+
+    The first vector is computed from the coordinate axis that is most nearly perpendicular to `normal`.
+    """
+    axis = _unit("motion", normal)
+    first = _cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
+    first /= np.linalg.norm(first)
+    return np.transpose((first, _cross(axis, first))).tolist()
 
 
 @dataclass(frozen=True)
@@ -271,40 +303,34 @@ class Waypoints:
     max_acceleration: float = 0.1  #: largest accepted acceleration of the tip [m/s^2]
 
     def __post_init__(self) -> None:
-        positive("waypoints: max_speed", self.max_speed, "m/s")
-        positive("waypoints: max_acceleration", self.max_acceleration, "m/s^2")
         if not self.times or len(self.times) != len(self.places):
             raise DescriptionError(f"waypoints: {len(self.times)} times and {len(self.places)} places; give one each")
         for number, (time, point) in enumerate(zip(self.times, self.places, strict=True), 1):
-            if not (math.isfinite(time) and len(point) == 3 and all(math.isfinite(part) for part in point)):
-                raise DescriptionError(
-                    f"waypoints: number {number} at {time} s, {point} m: finite numbers are needed"
-                ).at(time)
-            if time > MAX_TIME_S or max(map(abs, point)) > MAX_OFFSET_M:
+            if not (time <= MAX_TIME_S and all(abs(part) <= MAX_OFFSET_M for part in point)):
                 raise DescriptionError(
                     f"waypoints: number {number} at {time:g} s, {point} m, is outside 0 ... {MAX_TIME_S:g} s or"
                     f" +-{MAX_OFFSET_M:g} m"
                 ).at(time)
         if self.times[0] < 0.0 or (self.times[0] == 0.0 and any(self.places[0])):
             raise DescriptionError(
-                f"waypoints: the first, {self.places[0]} m from the start tip, at {self.times[0]:g} s;"
-                " give it a time above 0 s to get there"
+                f"waypoints: the first, {self.places[0]} m from the start tip, has the time {self.times[0]:g} s;"
+                " give it a time above 0 s, so that the tip can get there"
             ).at(self.times[0])
         for before, after in zip(self.times, self.times[1:], strict=False):
             if not after > before:
-                raise DescriptionError(f"waypoints: time {after:g} s does not come after {before:g} s").at(after)
+                raise DescriptionError(f"waypoints: time {after:g} s must be after the time {before:g} s").at(after)
         for before, after in zip((0.0, *self.times), self.times, strict=False):
             # Shorter intervals overflow the spline's coefficients; comparisons with the resulting NaN are always false.
             if 0.0 < after - before < MIN_WAYPOINT_INTERVAL_S:
                 raise DescriptionError(
                     f"waypoints: {after:g} s is less than {1e3 * MIN_WAYPOINT_INTERVAL_S:g} ms after {before:g} s;"
-                    f" give it more time"
+                    f" give this waypoint a later time"
                 ).at(after)
         self._check_limits()
 
     @property
     def period(self) -> float:
-        """Time until it is at rest [s]."""
+        """Time until the motion is at rest [s]."""
         return self.times[-1]
 
     @cached_property
@@ -355,16 +381,6 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def _plane(normal: Array) -> tuple[Array, Array]:
-    """Return two unit vectors perpendicular to `normal` and to each other.
-
-    The first is computed from the coordinate axis that is most nearly perpendicular to `normal`.
-    """
-    first = _cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
-    first /= np.linalg.norm(first)
-    return first, _cross(normal, first)
-
-
 def rotated(direction: Array, rotation: Array) -> Array:
     """Return a direction (3,) after a small rotation (3,), axis times angle [rad].
 
@@ -376,7 +392,9 @@ def rotated(direction: Array, rotation: Array) -> Array:
 
 def _unit(what: str, direction: tuple[float, float, float]) -> Array:
     vector = np.array(direction, dtype=np.float64)
-    length = float(np.linalg.norm(vector))
-    if vector.shape != (3,) or not math.isfinite(length) or length < 1e-9:
-        raise DescriptionError(f"{what}: direction {direction} has no length; give three numbers, not all zero")
-    return vector / length
+    if vector.shape != (3,) or not MIN_DIRECTION <= math.hypot(*direction) <= MAX_DIRECTION:
+        raise DescriptionError(
+            f"{what}: direction {direction} has no length; give three numbers, not all zero, whose length is"
+            f" {MIN_DIRECTION:g} ... {MAX_DIRECTION:g}"
+        )
+    return vector / float(np.linalg.norm(vector))

@@ -29,10 +29,10 @@ from core.robot.robot import Array
 #: [m/s]. This singular value is the tip speed in the least mobile direction with the joints at full speed.
 SIGMA_FLOOR_M_S = 5e-4
 #: For desired tip speeds above 1.25 mm/s the floor is higher: sqrt(ADAPTIVE_DAMPING_M_S * |desired|) [m/s]. At poses
-#: where the tubes' curves line up, the undamped joint velocity changes its sign. Because commands arrive late, a joint
-#: would oscillate there at full speed without this damping.
+#: with aligned tube curves, the undamped joint velocity changes its sign. Because commands arrive late, a joint would
+#: oscillate there at full speed without this damping.
 ADAPTIVE_DAMPING_M_S = 2e-4
-#: Largest singular value of J diag(speed) with which the inverse computes; larger equations are scaled down [m/s].
+#: Largest singular value of J diag(speed) in the computation; equations with a larger one are scaled down [m/s].
 MAX_SIGMA_M_S = 1e3
 
 #: Empty vector `room`, for a robot without limits that combine several joints.
@@ -59,8 +59,8 @@ class VelocityLimits(NamedTuple):
     """Bounds that the joint velocities v must satisfy: lower <= v <= upper, rows @ v <= room; zero is allowed."""
 
     speed: Array  #: (n,) top speeds of the joints, used as units [rad/s or m/s]
-    lower: Array  #: (n,) not positive [rad/s or m/s]
-    upper: Array  #: (n,) not negative [rad/s or m/s]
+    lower: Array  #: (n,) smallest joint velocities, at most 0 [rad/s or m/s]
+    upper: Array  #: (n,) largest joint velocities, at least 0 [rad/s or m/s]
     rows: Array  #: (k, n) matrix G of the limits of several joints
     room: Array  #: (k,) vector h of these limits, not negative
 
@@ -162,8 +162,8 @@ def inverse_law(
     # With more joints than rows, a ridge far below the damping selects the solution near `preferred`.
     ridge = 1e-10 * sigma[0] * sigma[0] if n > size else 0.0
     damping += ridge
-    # Equations of custom loops can be so large that rounding would exceed the tolerances below. A power of two changes
-    # no digit.
+    # Equations of custom loops can be so large that rounding would exceed the tolerances below. Scaling by a power of
+    # two adds no rounding.
     shrink = 1.0 if sigma[0] < MAX_SIGMA_M_S else 2.0 ** -np.floor(np.log2(sigma[0]))
     damping, ridge = damping * shrink * shrink, ridge * shrink * shrink
     normal, right = np.zeros((n, n)), np.zeros(n)
@@ -220,7 +220,9 @@ def inverse_law(
                 part, block = max(left, 0.0) / along, c
         for j in range(n):
             x[j] += part * step[j]
-        if block >= 0:
+        # A full working set leaves no direction, so its step is only rounding. Where more limits than joints meet, such
+        # a step may seem to cross a further limit, for which the set has no room.
+        if block >= 0 and count < n:
             working[count] = block
             count += 1
             continue

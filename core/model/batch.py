@@ -48,8 +48,8 @@ class Solutions:
 
     numbers: Array  #: (k, m) the numbers of a `Solution` in each row
     failures: Mapping[int, CtrError]  #: error of each row without solution
-    tubes: int  #: q
-    joints: int  #: n
+    tubes: int  #: number of tubes q
+    joints: int  #: number of joints n
 
     # Arrays (k, ...) of the rows, see `solution.Parts`.
     tip = PartView()
@@ -131,7 +131,7 @@ def solve_many(
     each = [models] if isinstance(models, Statics) else models
     first = each[0]
     q, n = len(first.robot.tubes), len(first.robot.joints)
-    # Copied: a read-only or non-contiguous array would need another compilation.
+    # Copy the arrays, because a read-only or non-contiguous array would need another compilation.
     joints, wrenches = np.array(joints, np.float64, order="C"), np.array(wrenches, np.float64, order="C")
     k = joints.shape[0] if joints.ndim else 0
     if joints.shape != (k, n) or wrenches.shape != (k, 6):
@@ -143,7 +143,7 @@ def solve_many(
             f"{len(each)} models: use one, or one for each of {k} rows with equal tube counts and integration steps"
         )
     if near is not None and (along or near.numbers.shape != (k, size(q, n))):
-        raise DescriptionError(f"near has {near.numbers.shape} numbers for {k} rows, or along is set too; use only one")
+        raise DescriptionError(f"near has shape {near.numbers.shape} for {k} rows, or along is set too; use only one")
     numbers, failures = np.empty((k, size(q, n))), dict[int, CtrError]()
     packed = np.array([model.compiled_arguments[0] for model in each])
     rows = _Rows(each, packed, joints, wrenches, numbers if near is None else near.numbers, numbers, failures)
@@ -225,7 +225,7 @@ def solve_rows(
         start: `COLD`, `ALONG` or `NEAR`.
         cold_start: with `ALONG`, the row `first` starts cold, because it has no previous row.
         first, last: range of rows.
-        near: (k, m) starts of the rows for `NEAR`.
+        near: (k, m) nearby solutions from which the rows start, for `NEAR`.
         numbers: out (k, m).
         unsolved: out, rows that `Statics.solve` has to solve.
 
@@ -253,7 +253,7 @@ def solve_rows(
             moment = abs(wrenches[row, 3]) + abs(wrenches[row, 4]) + abs(wrenches[row, 5])
             layout = unpack(robot)
             _, beta, valid = tube_poses(layout, joints[row])
-            solved = valid and moment == 0.0 and is_unique(layout, beta, np.sqrt(force), tubes)
+            solved = valid and moment == 0.0 and is_unique(layout, beta, np.sqrt(force), np.inf, tubes)
             if solved:
                 for j in range(joints.shape[1]):
                     rest_joints[j] = joints[row, j]

@@ -1,11 +1,11 @@
 """Newton's method for the base unknowns: torsion of each tube and moment at the plate.
 
 A pass along the tubes gives the end conditions and their derivatives, and from these a Newton step. The step is about
-the distance to the solution; the error after the step is proportional to the step's square. Once a step of a warm start
-is below `WARM_STEP_RAD`, the violation of the end conditions after it is below the tolerance. This last step is applied
-to tip, frame and unknowns to first order, without another pass. A warm start begins at a prediction from a nearby
-solution: its sensitivities and, if the motion continues in the same direction, the cubic through the last two solutions
-and their slopes. One pass is then enough.
+as long as the distance to the solution; the error after the step is proportional to the step's square. If a step of a
+warm start is below `WARM_STEP_RAD`, the violation of the end conditions after it is below the tolerance. This last step
+is applied to tip, frame and unknowns to first order, without another pass. A warm start uses a prediction from a nearby
+solution and its sensitivities. If the motion continues in the same direction, the prediction is the cubic through the
+last two solutions and their slopes. One pass is then enough.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from core.compiled import compiled, copy
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, Scheme, propagate
 from core.model.solution import CONTACT_POSITION, JOINT_COUNT, PASSES, RESIDUAL, STABILITY, TUBE_COUNT, Parts, fields
-from core.robot.robot import Array, tube_poses, unpack
+from core.robot.robot import Array, Layout, farthest_end, tube_poses, unpack
 
 #: Largest violation of the end conditions of a solved pose [1/m and N m].
 RESIDUAL_TOLERANCE = 1e-9
@@ -30,6 +30,8 @@ CONTROL_STEP_RAD = 3e-3
 #: Upper bound of the end conditions' violation after a Newton step, divided by the step's square [1/m or N m]. The
 #: value was measured and includes a reserve.
 NEWTON_REMAINDER = 100.0
+#: Step of the difference quotients by the moment at the tip [N m].
+MOMENT_STEP = 1e-6
 #: Largest first Newton step of a careful warm start [rad]: a longer step may lead to another shape of the robot.
 MAX_FIRST_STEP_RAD = 0.5
 
@@ -69,9 +71,10 @@ def newton(
     numbers[TUBE_COUNT], numbers[JOINT_COUNT], numbers[PASSES] = q, n, -1.0
     found, before = fields(numbers), fields(near)
     alpha, beta, valid = tube_poses(layout, joints)
-    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
+    tip, length = beta[0] + layout.ends[0, layout.counts[0] - 1], farthest_end(layout, beta)
     if not valid or joints.shape[0] != n or not (contact == np.inf or 0.0 <= contact <= length):
         return False
+    beyond = tip <= contact < np.inf  # the force acts on the outer tubes, beyond the tip
     scheme = Scheme(order, sublink)
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * width)
     table = np.zeros((size + 6, width + 8))
@@ -83,6 +86,10 @@ def newton(
     for iterations in range(1, MAX_PASSES + 1):
         propagate(layout, scheme, alpha, beta, wrench, contact, trial, tubes, columns, state, rates, table[:0])
         residual = _end_conditions(rates, wrench, state, twist, tubes, columns, n, table)
+        if beyond:
+            _add_moment_columns(
+                layout, scheme, alpha, beta, wrench, contact, trial, tubes, columns, state, rates, n, table
+            )
         if not np.isfinite(residual) or (residual > best and residual > RESIDUAL_TOLERANCE):
             fraction *= 0.5
             if fraction < 1e-4:
@@ -228,6 +235,27 @@ def _end_conditions(
         violation = abs(table[i, size + n + 6])
         residual = residual if violation <= residual else violation  # propagates a NaN
     return residual
+
+
+@compiled
+def _add_moment_columns(
+    layout: Layout, scheme: Scheme, alpha: Array, beta: Array, wrench: Array, contact: float, trial: Array,
+    tubes: tuple[float, ...], columns: tuple[float, ...], state: Array, rates: Array, n: int, table: Array,
+) -> None:  # fmt: skip
+    """Add derivatives to `table`: of the end conditions by the tip moment that acts through the tubes beyond the tip.
+
+    The part of the tubes up to the tip, and thus the tip's frame, does not change at constant unknowns.
+    """
+    q, changed, nowhere, column = len(tubes), wrench.copy(), table[:0], len(tubes) + n + 6
+    for k in range(3):
+        for sign in (-1.0, 1.0):
+            changed[3 + k] = wrench[3 + k] + sign * MOMENT_STEP
+            propagate(layout, scheme, alpha, beta, changed, contact, trial, tubes, columns, state, rates, nowhere)
+            for i in range(q):
+                table[i, column + k] += 0.5 * sign / MOMENT_STEP * state[12 + q + i]
+            for i in range(3):
+                table[q + i, column + k] += 0.5 * sign / MOMENT_STEP * state[15 + 2 * q + i]
+        changed[3 + k] = wrench[3 + k]
 
 
 @compiled

@@ -4,6 +4,10 @@ The end of every tube section starts a new link. Links consist of sub-links of o
 link takes the remainder. A sub-link is one step of an integrator: `second_order` is the paper's integrator,
 `fourth_order` permits longer steps.
 
+The tip is the end of the innermost tube. If outer tubes reach beyond the tip, the pass continues to their ends, because
+their torsion there is an end condition; then it returns to the frame and position of the tip. These tubes carry a load
+only if the force acts on them, beyond the tip.
+
 The derivatives of the state are integrated together with it, one column for each base unknown (u_iz(0), M(0)), joint
 and force component. If a joint changes the length of a link, only the link's last sub-link changes (H in (19)).
 """
@@ -12,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
+from core.compiled import compiled, copy
 from core.model.integrators import fourth_order, second_order
 from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
 
@@ -39,7 +43,7 @@ def propagate(
     scheme: Scheme,
     alpha: Array,
     beta: Array,
-    force: Array,
+    wrench: Array,
     contact: float,
     unknowns: Array,
     tubes: tuple[float, ...],
@@ -48,26 +52,27 @@ def propagate(
     rates: Array,
     path: Array,
 ) -> int:
-    """Integrate the model from the plate to the tip, with its derivatives.
+    """Integrate the model from the plate to the last tube end, with its derivatives.
 
     Args:
         layout: the robot.
         scheme: order of the integrator and length of a sub-link.
         alpha, beta: rotation [rad] and proximal end [m] of each tube (q,).
-        force: (3,), world frame [N].
+        wrench: force and moment (6,), world frame [N, N m]; the moment acts at the tip.
         contact: arc length from the plate at which the force acts [m]; inf for the tip.
         unknowns: u_iz(0) of each tube (q) [1/m], then M(0) (3), about the plate [N m].
         tubes, columns: tuples whose lengths are constants to the compiler: q, and the number of derivative columns (0
             for none, else rounded up to a multiple of 4, see `Statics`).
-        state: out (18 + 2q): R by rows, r from the plate [m], theta_i [rad], u_iz [1/m] at the end
-            of each tube; then the remaining force and M about the plate at the tip.
+        state: out (18 + 2q): R by rows and r from the plate [m] at the tip; theta_i [rad], u_iz [1/m] at the end
+            of each tube; then the remaining force and M about the plate at the tip. Where the force acts beyond the
+            tip: no force, and M at the last tube end plus the moment at the tip.
         rates: out (rows x columns, flat): derivatives of rotation (3, world), r (3), theta_i,
             u_iz, force, M by unknowns (q + 3), joints (n), force (3).
-        path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at the start of every sub-link and at the tip; only
-            the first m cross-sections are written.
+        path: out (m, 16 + 2q): arc length, R, r, theta_i, u_iz, M at the start of every sub-link and at the last
+            tube end; only the first m cross-sections are written.
 
     Returns:
-        Number of cross-sections passed, including those at the plate and at the tip.
+        Number of cross-sections passed, including those at the plate and at the last tube end.
 
     """
     q, width, n = len(tubes), len(columns), layout.joint_tube.shape[0]
@@ -78,12 +83,13 @@ def propagate(
     for k in range(9):
         state[k] = layout.base[k]
     for k in range(3):
-        state[9 + k], load[k], load[3 + k] = 0.0, force[k], unknowns[q + k]
+        state[9 + k], load[k], load[3 + k] = 0.0, wrench[k], unknowns[q + k]
     for i in range(q):
         state[12 + q + i] = unknowns[i]
         state[12 + i] = alpha[i] - beta[i] * unknowns[i]  # the length -beta_i behind the plate twists by -beta_i u_iz
-        # Skip sections that are entirely behind the plate.
-        while section[i] < layout.counts[i] and beta[i] + layout.ends[i, section[i]] <= 0.0:
+        # Skip sections that end behind the plate or, whatever the rounding, flush with it. The last section of a tube
+        # stays as a link of length zero: the derivatives by the tube's translation come from its end.
+        while section[i] < layout.counts[i] - 1 and beta[i] + layout.ends[i, section[i]] <= FLUSH_TOLERANCE_M:
             section[i] += 1
     if width > 0:
         rates[:] = 0.0
@@ -101,6 +107,7 @@ def propagate(
     start = 0.0
     start_tube = -1  # tube whose beta moves the start of this link; -1: the plate, which does not move
     passed = 0
+    at_tip, retracted, beyond = link[0], False, False  # set at the tip if outer tubes reach beyond it
     while True:
         # This link ends at the next section end or at the force.
         end, end_tube, total = np.inf, -1, 0.0
@@ -144,12 +151,23 @@ def propagate(
         start, start_tube = end, end_tube
         if end_tube >= 0:
             section[end_tube] += 1
+            if end_tube == 0 and section[0] == layout.counts[0] and total > layout.stiffness[0, 0]:
+                retracted, beyond = True, contact < np.inf
+                at_tip = _leave_tip(load, state, rates, fixed, width, beyond)
+                for k in range(3 if beyond else 0):
+                    load[3 + k] -= wrench[3 + k]
         else:
             contact = np.inf
             _leave_force(load, state, rates, fixed, width)
 
     if passed < path.shape[0]:
         _record(path[passed], start, state, q)
+    if retracted:
+        if beyond:
+            _leave_force(load, state, rates, fixed, width)  # no change if the force acts before the last tube end
+        _return_to_tip(at_tip, load, state, rates, fixed, width, beyond)
+        for k in range(3 if beyond else 0):
+            load[3 + k] += wrench[3 + k]
     for k in range(3):
         j, m = (k + 1) % 3, (k + 2) % 3
         load[3 + k] -= state[9 + j] * load[m] - state[9 + m] * load[j]
@@ -162,7 +180,7 @@ def repeat(
     scheme: Scheme,
     alpha: Array,
     beta: Array,
-    force: Array,
+    wrench: Array,
     contact: float,
     unknowns: Array,
     tubes: tuple[float, ...],
@@ -174,7 +192,7 @@ def repeat(
     state, rates = np.empty(18 + 2 * q), np.empty((FRAME_ROWS + 2 * q + FIXED_ROWS) * len(columns))
     path = np.empty((0, 0))
     for _ in range(times):
-        propagate(layout, scheme, alpha, beta, force, contact, unknowns, tubes, columns, state, rates, path)
+        propagate(layout, scheme, alpha, beta, wrench, contact, unknowns, tubes, columns, state, rates, path)
 
 
 @compiled
@@ -189,6 +207,33 @@ def _leave_force(load: Array, state: Array, rates: Array, fixed: int, width: int
             rates[fixed + (3 + k) * width + col] -= dj * load[m] - dm * load[j] + state[9 + j] * fm - state[9 + m] * fj
     load[:3] = 0.0
     rates[fixed : fixed + 3 * width] = 0.0
+
+
+@compiled
+def _leave_tip(load: Array, state: Array, rates: Array, fixed: int, width: int, beyond: bool) -> Array:
+    """Return frame, position, load and their derivatives at the tip; set the load to zero unless it acts beyond.
+
+    Without a force beyond the tip, the moment there is zero in every solution, so it does not depend on the unknowns.
+    """
+    kept = np.empty(18 + 12 * width)
+    copy(state[:12], kept[:12])
+    copy(load[:6], kept[12:18])
+    copy(rates[: 6 * width], kept[18 : 18 + 6 * width])
+    copy(rates[fixed : fixed + 6 * width], kept[18 + 6 * width :])
+    if not beyond:
+        load[:6] = 0.0
+        rates[fixed : fixed + 6 * width] = 0.0
+    return kept
+
+
+@compiled
+def _return_to_tip(kept: Array, load: Array, state: Array, rates: Array, fixed: int, width: int, beyond: bool) -> None:
+    """Write the values from `_leave_tip` back to state and rates; the load only if no load acts beyond the tip."""
+    copy(kept[:12], state[:12])
+    copy(kept[18 : 18 + 6 * width], rates[: 6 * width])
+    if not beyond:
+        copy(kept[12:18], load[:6])
+        copy(kept[18 + 6 * width :], rates[fixed : fixed + 6 * width])
 
 
 @compiled

@@ -40,13 +40,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.robot.robot import Array, Indices, Robot
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Indices, Robot
 
 #: Stiffness of the spring that represents a clamped end, divided by the stiffness EI or GJ of the tubes [1/m].
 CLAMP_STIFFNESS = 1e9
 #: Smallest energy drop of a negative direction, as a fraction of (EI / length^2 + force) times the square of the
-#: change. The threshold excludes discretisation errors, and neutral directions, in which the energy does not change: a
-#: straight tube, for example, bends equally to any side.
+#: change. The threshold excludes discretisation errors and neutral directions, in which the energy does not change. For
+#: example, a straight tube bends equally to any side.
 MIN_ENERGY_DROP = 2e-3
 
 
@@ -74,6 +74,8 @@ def negative_directions(robot: Robot, joints: Array, wrench: Array, contact: flo
     """
     from scipy.linalg import LinAlgError, cholesky_banded, eigvals_banded  # pyright: ignore  - slow to import
 
+    if path[-1, 0] <= FLUSH_TOLERANCE_M:
+        return 0  # all tubes are flush with the plate: nothing can bend
     matrix = _matrix(robot, joints, wrench, contact, path)
     try:
         cholesky_banded(matrix, check_finite=False)
@@ -94,7 +96,8 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     twist = bend / ratio
     frame, theta = middle[:, 1:10].reshape(-1, 3, 3), middle[:, 13 : 13 + q]
     moment = np.einsum("mji,mj->mi", frame, middle[:, 13 + 2 * q :])
-    pull = np.where(middle[:, 0] < contact, frame[:, :, 2] @ wrench[:3], 0.0)
+    ends = robot.tube_ends(joints)
+    pull = np.where(middle[:, 0] < (contact if contact < np.inf else ends[0]), frame[:, :, 2] @ wrench[:3], 0.0)
     cos, sin = np.cos(theta), np.sin(theta)
     w = np.stack((cos * free[..., 0] - sin * free[..., 1], sin * free[..., 0] + cos * free[..., 1]), axis=-1)
     total = bend.sum(axis=1)
@@ -132,11 +135,12 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
     blocks[0, b, b] += CLAMP_STIFFNESS * total[0]
     for i in range(q):
         blocks[0, 2 + i, 2 + i] += twist[0, i] * min(CLAMP_STIFFNESS, 1.0 / max(-beta[i], 1.0 / CLAMP_STIFFNESS))
-        absent = np.flatnonzero(bend[:, i] == 0.0) + 1
+        absent = np.flatnonzero(np.append(bend[0, i], bend[:, i]) == 0.0)  # also at the plate if the tube is flush
         blocks[absent, 2 + i, 2 + i] = total[0]
-    tip = path[-1, 1:10].reshape(3, 3).T @ wrench[3:]
-    blocks[-1, [2, b], [b, 2]] -= 0.5 * tip[0]
-    blocks[-1, [2, a], [a, 2]] += 0.5 * tip[1]
+    last = int(np.argmin(np.abs(path[:, 0] - ends[0])))
+    tip = path[last, 1:10].reshape(3, 3).T @ wrench[3:]
+    blocks[last, [2, b], [b, 2]] -= 0.5 * tip[0]
+    blocks[last, [2, a], [a, 2]] += 0.5 * tip[1]
 
     bands = np.zeros((2 * size, size * (h.size + 1)))
     for i in range(size):
@@ -151,6 +155,8 @@ def _matrix(robot: Robot, joints: Array, wrench: Array, contact: float, path: Ar
 MAX_STEPS, MAX_STEP_RAD = 50, 0.6
 #: The minimisation has converged when its step is shorter than this [rad].
 REST_STEP_RAD = 1e-4
+#: Largest number of steps of a motion under a moment, and of pushes away from a saddle.
+MAX_MOTION_STEPS, MAX_PUSHES = 100, 3
 #: Size of the perturbation that moves the tubes away from an unstable equilibrium [rad].
 PERTURBATION_RAD = 1e-2
 
@@ -165,16 +171,19 @@ class ElementChain(NamedTuple):
     alpha: Array  #: (q,) rotations at the proximal ends [rad]
     hidden: Array  #: (q,) length of each tube behind the plate [m]
     force: Array  #: (3,) force on the robot [N]
+    moment: Array  #: (3,) moment at the tip [N m]
     pulled: int  #: number of elements between the plate and the point at which the force acts
     last: Indices  #: (q,) the node at which each tube ends
 
 
-def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: float) -> ElementChain:
-    """Return the robot as elements of at most `longest` [m]; tube sections end, and the force acts, at element ends."""
+def cut(robot: Robot, joints: Array, wrench: Array, contact: float, longest: float) -> ElementChain:
+    """Return the robot under a wrench (6,), world frame [N, N m], as elements of at most `longest` [m].
+
+    Element ends are at the ends of all tube sections and at the point where the force acts.
+    """
     alpha, beta = robot.tube_poses(joints)
     ends = np.concatenate([beta[i] + robot.layout.ends[i, :count] for i, count in enumerate(robot.layout.counts)])
-    tips = beta + np.array([tube.length for tube in robot.tubes])
-    reach = min(contact, float(tips[0]))
+    reach = max(contact if contact < np.inf else float(robot.tube_ends(joints)[0]), 0.0)
     marks = np.unique(np.concatenate(([0.0, reach], ends[ends > 0.0])))
     marks = marks[np.append(np.diff(marks) > 1e-9, True)]
     parts: list[Array] = [
@@ -185,9 +194,49 @@ def cut(robot: Robot, joints: Array, force: Array, contact: float, longest: floa
     bend, free = precurvature(robot, beta, 0.5 * (nodes[1:] + nodes[:-1]))
     base = robot.layout.base[:9].reshape(3, 3)
     return ElementChain(
-        nodes, bend, bend / robot.layout.stiffness[:, 1], free, alpha, -beta, base.T @ force,
+        nodes, bend, bend / robot.layout.stiffness[:, 1], free, alpha, -beta, base.T @ wrench[:3], base.T @ wrench[3:],
         int(np.argmin(np.abs(nodes - reach))), np.count_nonzero(bend, axis=0),
     )  # fmt: skip
+
+
+def settle(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Array] | None:
+    """Simulate the motion of a viscously damped robot from a given shape to rest; arguments and result as in `relax`.
+
+    A moment at the tip has no potential energy, so no minimum exists to search for. The motion is D x' = -g(x), where g
+    is the gradient of the energy minus the work of the load. The implicit steps grow near rest, where they become
+    Newton steps. At an unstable equilibrium the shape is pushed away, so the motion does not end there.
+    """
+    h, moved = np.diff(chain.ends), _moved(chain)
+    k = (np.einsum("mi,mik->mk", chain.bend, _turned(chain, theta)) + moment) / chain.bend.sum(axis=1)[:, None]
+    at = np.concatenate(((k * h[:, None]).ravel(), theta.ravel()[moved]))
+    duration, drag, before, pushes = 1.0, np.empty(0), np.inf, 0
+    for _ in range(MAX_MOTION_STEPS):
+        _, slope, curve = _energy(chain, at, theta, moved)
+        push, stiffening = _tip_moment(chain, at, moved)
+        slope, curve = slope - push, curve - stiffening
+        drag = np.maximum(np.abs(np.diag(curve)), 1e-12) if not drag.size else drag
+        size = float(np.linalg.norm(slope / drag))
+        duration = min(duration * min(max(before / max(size, 1e-300), 0.5), 4.0), 1e9)
+        before = size
+        step = np.linalg.solve(curve + np.diag(drag / duration), -slope)
+        longest = float(np.abs(step).max())
+        if longest > MAX_STEP_RAD:
+            duration *= 0.5
+            step *= MAX_STEP_RAD / longest
+        elif longest < REST_STEP_RAD and duration > 1e3:
+            values, directions = np.linalg.eig(curve / drag[:, None])
+            rates: Array = np.real(values)
+            if rates.min() > 0.0:
+                theta = theta.copy()
+                theta.ravel()[moved] = at[2 * h.size :]
+                return at[: 2 * h.size].reshape(-1, 2) / h[:, None], theta
+            # At rest on a saddle: push the shape away, and let it move slowly.
+            if (pushes := pushes + 1) > MAX_PUSHES:
+                return None
+            weakest: Array = np.real(directions[:, int(np.argmin(rates))])
+            step, duration, before = weakest * (PERTURBATION_RAD / np.abs(weakest).max()), 1.0, np.inf
+        at = at + step
+    return None
 
 
 def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Array] | None:
@@ -213,7 +262,7 @@ def relax(chain: ElementChain, theta: Array, moment: Array) -> tuple[Array, Arra
         if np.abs(step).max() < REST_STEP_RAD:
             weakest = step if firm else np.linalg.eigh(curve)[1][:, 0]
             step = weakest * (PERTURBATION_RAD / np.abs(weakest).max(initial=1e-300))
-            # In a neutral direction the energy does not fall: a straight tube, for example, bends equally to any side.
+            # In a neutral direction the energy does not fall. For example, a straight tube bends equally to any side.
             if firm or not _energy(chain, at + step, theta, moved)[0] < energy - 1e-9 * abs(energy):
                 theta = theta.copy()
                 theta.ravel()[moved] = at[2 * h.size :]
@@ -251,15 +300,25 @@ def base_unknowns(robot: Robot, chain: ElementChain, k: Array, theta: Array) -> 
     h = np.diff(chain.ends)
     # The torsion at the plate is the sum of the torques from bending along the tube.
     twisted = chain.bend * h[:, None] * np.einsum("mk,mik->mi", k, _sideways(chain, theta))
-    positions, _, _ = _curve(k * h[:, None], h)
+    positions, frames, _ = _curve(k * h[:, None], h)
+    twist = robot.layout.stiffness[:, 0] / robot.layout.stiffness[:, 1]
+    torsion = twisted.sum(axis=0) / twist
+    torsion[0] += frames[chain.last[0], :, 2] @ chain.moment / twist[0]
     base = robot.layout.base[:9].reshape(3, 3)
-    return np.concatenate((twisted.sum(axis=0) / chain.twist[0], base @ _cross(positions[chain.pulled], chain.force)))
+    return np.concatenate((torsion, base @ (_cross(positions[chain.pulled], chain.force) + chain.moment)))
+
+
+def tip(robot: Robot, chain: ElementChain, k: Array) -> Array:
+    """Return the tip's position (3,), world frame [m], at curvatures `k` (m, 2) of the elements [1/m]."""
+    h = np.diff(chain.ends)
+    base = robot.layout.base
+    return base[:9].reshape(3, 3) @ _curve(k * h[:, None], h)[0][chain.last[0]] + base[9:]
 
 
 def _moved(chain: ElementChain) -> Indices:
     """Return the indices of the free values in theta: all but those clamped at the plate or beyond a tube's end."""
     node = np.arange(chain.ends.size)[:, None]
-    free = (node <= chain.last) & ((node > 0) | (chain.hidden > 0.0))
+    free = (node <= chain.last) & ((node > 0) | ((chain.hidden > 0.0) & (chain.last > 0)))
     return np.flatnonzero(free.ravel())
 
 
@@ -380,6 +439,31 @@ def _work(force: Array, bent: Array, h: Array) -> tuple[float, Array, Array]:
     upper = np.where(order[:, None] < order[None, :], form, 0.0)
     within = np.where(order[:, None] == order[None, :], 0.5 * (form + form.T), 0.0)
     return float(force @ positions[-1]), lever @ force, upper + upper.T + within
+
+
+def _tip_moment(chain: ElementChain, at: Array, moved: Indices) -> tuple[Array, Array]:
+    """Return the generalised force (n,) of the moment at the tip, and its derivative (n, n), which is not symmetric.
+
+    A bend of an element, or the twist of the innermost tube, turns the tip about an axis in space; the force is the
+    moment's component along this axis. An axis turns with the bends before it.
+    """
+    h = np.diff(chain.ends)
+    m, q = chain.bend.shape
+    bent = at[: 2 * m].reshape(m, 2)
+    _, frames, _ = _curve(bent, h)
+    turns = (frames[:-1] @ _spins(bent)).transpose(0, 2, 1).reshape(2 * m, 3)
+    end = int(chain.last[0])
+    turns[2 * end :] = 0.0  # bends beyond the tip do not turn it
+    twist = np.flatnonzero(moved == end * q)  # the innermost tube's rotation at the tip
+    force, derivative = np.zeros(at.size), np.zeros((at.size, at.size))
+    force[: 2 * m], force[2 * m + twist] = turns @ chain.moment, frames[end, :, 2] @ chain.moment
+    order = np.repeat(np.arange(m, dtype=np.int64), 2)
+    # Entry (e, f) is moment . (turn_f x turn_e) for an element f before e; for f = e it is half of that.
+    form = -_cross(chain.moment, turns) @ turns.T
+    share = np.where(order[:, None] > order[None, :], 1.0, np.where(order[:, None] == order[None, :], 0.5, 0.0))
+    derivative[: 2 * m, : 2 * m] = share * form
+    derivative[2 * m + twist, : 2 * m] = _cross(turns, frames[end, :, 2]) @ chain.moment
+    return force, derivative
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -1,7 +1,7 @@
 """A solved shape of the robot: one array of numbers, and names for its parts.
 
-The solver writes one array, because allocating a dozen small arrays took as long as solving the model. The array starts
-with a few scalars at the indices below; the `Parts` follow in their order, with the shapes of `_shapes`.
+The solver writes one array, because allocating a dozen small arrays would take as long as solving the model. The array
+starts with the scalars at the indices below; then the `Parts` follow in their order, with the shapes of `_shapes`.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ class Parts(NamedTuple):
     joints: Array  #: (n,) joint positions for which the model was solved [rad or m]
     wrench: Array  #: (6,) load for which the model was solved [N, N m]
     move: Array  #: (n + 6,) change of joints and wrench since the start solution `near`
-    bend: Array  #: (2, q + 3) second and third order of the unknowns along `move`
+    bend: Array  #: (2, q + 3) second- and third-order coefficients of the unknowns along `move`
 
 
 @compiled
@@ -83,7 +83,7 @@ class PartsReader(Protocol):
 
 
 class PartView:
-    """Attribute that reads the part of its name on demand, because most parts are never read."""
+    """Attribute that reads the part with its name on demand, because most parts are never read."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         """Store the name of the part."""
@@ -130,7 +130,7 @@ class Solution:
 
     @property
     def stability(self) -> float:
-        """Margin of stability: the determinant of the end conditions by the base unknowns.
+        """Margin of stability: determinant of the derivative of the end conditions by the base unknowns.
 
         The margin is 1 for straight tubes without load. It falls to 0 where the tubes snap or the load buckles them.
         """
@@ -153,7 +153,7 @@ class Solution:
 
 
 def at_rest(joints: Array, contact: float, q: int) -> Solution:
-    """Return the start of a cold solve at joints (n,): no twist, no moment, no load."""
+    """Return the initial guess of a cold solve at joints (n,): no twist, no moment, no load."""
     n = joints.shape[0]
     rest = Solution(np.zeros(size(q, n)))
     rest.numbers[[TUBE_COUNT, JOINT_COUNT, CONTACT_POSITION, PASSES]] = q, n, contact, -1.0

@@ -18,29 +18,40 @@ import numpy as np
 from core.errors import DescriptionError, NoSolution, NotFinite
 from core.model.newton import COLD_STEP_RAD, RESIDUAL_TOLERANCE, WARM_STEP_RAD, newton
 from core.model.propagation import FIXED_ROWS, FRAME_ROWS, INTEGRATORS, Scheme, propagate, repeat
-from core.model.relaxation import base_unknowns, cut, negative_directions, relax
+from core.model.relaxation import (
+    ElementChain,
+    base_unknowns,
+    cut,
+    negative_directions,
+    precurvature,
+    relax,
+    settle,
+    tip,
+)
 from core.model.solution import Solution, at_rest
 from core.robot.robot import Array, Robot, positive
 
 __all__ = [
-    "DEFAULT_SUBLINKS_M",
     "PAPER_SUBLINK_M",
     "RESIDUAL_TOLERANCE",
     "Integrator",
     "Solution",
     "Statics",
     "suitable_integrator",
+    "suitable_sublink",
 ]
 
 Integrator = Literal["paper", "fourth_order"]
 
 #: Length of a sub-link in the paper [m].
 PAPER_SUBLINK_M = 0.010
-#: Default length of a sub-link by integrator [m].
-DEFAULT_SUBLINKS_M = {"paper": PAPER_SUBLINK_M, "fourth_order": 0.030}
-#: Largest bend of a sub-link for the paper's integrator [rad]: the relative error of J and C is about a quarter of the
-#: bend squared.
-MAX_SUBLINK_BEND_RAD = 0.08
+#: Largest bend of a sub-link by precurvature [rad] with which the paper's integrator is used. The tip error is about
+#: bend^2 / 6 of the curved length, and 0.05 % is the bound.
+MAX_PAPER_BEND_RAD = 0.05
+#: Fourth-order integrator: longest sub-link [m]; largest bend of a sub-link by precurvature and load together [rad];
+#: and largest bend of the whole innermost tube by a load [rad]. The tip error is then below 0.05 mm or 0.05 % of the
+#: length, which the test `test_sublinks` checks.
+MAX_SUBLINK_M, MAX_SUBLINK_TURN_RAD, LOAD_BEND_RAD = 0.030, 0.45, 6.0
 #: Largest rotation of a tube [rad], and largest fraction of the load, in one continuation step.
 MAX_TURN_RAD, MAX_LOAD_SHARE = 0.5, 0.25
 #: Largest mismatch between forward and backward prediction of one continuation step [rad over the whole length].
@@ -55,6 +66,10 @@ RELEASE_SHARES = (1e-3, 2e-2, 0.2)
 MAX_SNAPS = 4
 #: Element lengths of a relaxation [m], tried in this order until one leads to a stable shape.
 RELAXATION_ELEMENTS_M = (0.02, 0.005)
+#: Element lengths of a relaxation under a moment [m], whose steps take longer.
+MOTION_ELEMENTS_M = (0.02, 0.01)
+#: Largest distance between a relaxed tip and the solution's, as a fraction of the length.
+MAX_RELAXATION_ERROR = 0.05
 #: Largest distance between cross-sections in the count of negative directions [m].
 SECTION_SPACING_M = 0.005
 #: Two solutions are the same shape when their tips are closer than this [m].
@@ -66,11 +81,11 @@ class Statics:
     """Model of one robot's shape under load, with one integrator."""
 
     robot: Robot
-    sublink: float | None = None  #: length of a sub-link [m]; None: the default of the integrator
-    integrator: Integrator = "paper"
+    sublink: float | None = None  #: length of a sub-link [m]; None: 10 mm for `paper`, else `suitable_sublink`
+    integrator: Integrator | None = None  #: None: `suitable_integrator`
 
     def __post_init__(self) -> None:
-        if self.integrator not in INTEGRATORS:
+        if self.integrator is not None and self.integrator not in INTEGRATORS:
             raise DescriptionError(f"integrator '{self.integrator}' is unknown; choose {' or '.join(INTEGRATORS)}")
         if self.sublink is not None:
             positive("sublink", self.sublink, "m")
@@ -108,11 +123,11 @@ class Statics:
             return solution
         raise NoSolution(
             f"no shape found for {dict(zip(self.robot.joint_names, joints.tolist(), strict=True))}"
-            f" under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m; is the load within reach of the tubes?"
+            f" under {wrench[:3].tolist()} N, {wrench[3:].tolist()} N m; reduce the load, or check the tubes"
         )
 
     def shape(self, solution: Solution) -> Array:
-        """Return cross-sections from the plate to the tip (m, 16 + 2q).
+        """Return cross-sections from the plate to the last tube end (m, 16 + 2q).
 
         A row contains arc length [m], the frame by rows (9), position (3) [m], theta_i (q) [rad], u_iz (q) [1/m] and
         the moment M (3) [N m]. All vectors are in the world frame.
@@ -132,6 +147,20 @@ class Statics:
             self.robot, solution.joints, solution.wrench, solution.contact, self._sections(solution)
         )
 
+    def strains(self, solution: Solution) -> Array:
+        """Return the largest bending strain (q,) at each tube's surface: its radius times the change of curvature."""
+        q, path = len(self.robot.tubes), self._sections(solution)
+        beta = self.robot.tube_poses(solution.joints)[1]
+        path = path[np.append(np.diff(path[:, 0]) > 1e-9, True)]
+        middle = 0.5 * (path[1:] + path[:-1])
+        bend, free = precurvature(self.robot, beta, middle[:, 0])
+        moment = np.einsum("mji,mj->mi", middle[:, 1:10].reshape(-1, 3, 3), middle[:, 13 + 2 * q :])[:, :2]
+        cos, sin = np.cos(middle[:, 13 : 13 + q]), np.sin(middle[:, 13 : 13 + q])
+        own = np.stack((cos * free[..., 0] - sin * free[..., 1], sin * free[..., 0] + cos * free[..., 1]), axis=-1)
+        shared = (np.einsum("mi,mik->mk", bend, own) + moment) / bend.sum(axis=1)[:, None]
+        change = np.linalg.norm(shared[:, None] - own, axis=2) * (bend > 0.0)
+        return change.max(axis=0, initial=0.0) * self.outer_radii
+
     def residual(self, solution: Solution) -> float:
         """Recompute a solution and return the largest violation of its end conditions [1/m or N m]."""
         _, state = self._pass(solution)
@@ -146,7 +175,7 @@ class Statics:
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
         repeat(
-            self.robot.layout, self._scheme, alpha, beta, solution.wrench[:3].copy(), solution.contact,
+            self.robot.layout, self._scheme, alpha, beta, solution.wrench, solution.contact,
             solution.unknowns, tubes, columns if with_derivatives else (), times,
         )  # fmt: skip
 
@@ -154,11 +183,10 @@ class Statics:
         """Return cross-sections (m, 16 + 2q), relative to the plate, and the state at the tip."""
         q = len(self.robot.tubes)
         alpha, beta = self.robot.tube_poses(solution.joints)
-        length = float(beta[0]) + self.robot.tubes[0].length
-        path = np.empty((int(length / self._scheme.sublink) + 4 + int(self.robot.layout.counts.sum()), 16 + 2 * q))
+        path = np.empty((self.max_sections, 16 + 2 * q))
         state, rates = np.empty(18 + 2 * q), np.empty(0)
         passed = propagate(
-            self.robot.layout, self._scheme, alpha, beta, solution.wrench[:3].copy(), solution.contact,
+            self.robot.layout, self._scheme, alpha, beta, solution.wrench, solution.contact,
             solution.unknowns, (0.0,) * q, (), state, rates, path,
         )  # fmt: skip
         return path[:passed], state
@@ -167,7 +195,7 @@ class Statics:
         """Return the states (m, 16 + 2q) of m closely spaced cross-sections; positions are relative to the plate."""
         alpha, beta = self.robot.tube_poses(solution.joints)
         tubes, columns = self._widths
-        q, length = len(tubes), float(beta[0]) + self.robot.tubes[0].length
+        q, length = len(tubes), self._length(solution.joints)
         scheme = Scheme(self._scheme.order, min(self._scheme.sublink, SECTION_SPACING_M))
         path = np.empty((int(length / scheme.sublink) + 4 + int(self.robot.layout.counts.sum()), 16 + 2 * q))
         # Derivative columns are computed but not used: another number of columns would need a separate compilation.
@@ -185,7 +213,8 @@ class Statics:
         """
         found = self._from_rest(joints, wrench, contact)
         if found is None:
-            return None
+            # The motion under a moment may end between two shapes: start from untwisted tubes under the whole moment.
+            return self._release(None, joints, wrench, contact) if wrench[3:].any() else None
         rest = at_rest(joints, contact, len(self.robot.tubes))
         direct = self._newton(joints, wrench, rest, contact, careful=0)
         if direct is not None and np.linalg.norm(direct.tip - found.tip) < SAME_TIP_M:
@@ -258,18 +287,21 @@ class Statics:
         move = np.concatenate((there.joints - here.joints, there.wrench - here.wrench))
         change = there.unknowns - here.unknowns
         q = len(self.robot.tubes)
-        length = float(self.robot.tube_poses(there.joints)[1][0]) + self.robot.tubes[0].length
         misses = np.abs([change - here.sensitivity @ move, change - there.sensitivity @ move]).max(axis=0)
         misses[q:] /= self.robot.layout.stiffness[0, 0]
-        return length * float(misses.max())
+        return self._length(there.joints) * float(misses.max())
+
+    def _length(self, joints: Array) -> float:
+        """Return the arc length from the plate to the last tube end [m]."""
+        return float(self.robot.tube_ends(joints).max())
 
     def _release(self, near: Solution | None, joints: Array, wrench: Array, contact: float) -> Solution | None:
         """Relax the tubes from `near` (None: untwisted tubes); return the stable shape that they reach, or None."""
-        force = np.append(wrench[:3], np.zeros(3))
-        if np.linalg.norm(force) * RELAXATION_ELEMENTS_M[-1] ** 2 > self.robot.layout.stiffness[0, 0]:
-            return None  # the force bends the innermost tube strongly within one element and one sub-link
-        for longest in RELAXATION_ELEMENTS_M:
-            chain = cut(self.robot, joints, wrench[:3], contact, longest)
+        short, moment_size = RELAXATION_ELEMENTS_M[-1], float(np.linalg.norm(wrench[3:]))
+        if max(np.linalg.norm(wrench[:3]) * short, moment_size) * short > self.robot.layout.stiffness[0, 0]:
+            return None  # the load bends the innermost tube strongly within one element and one sub-link
+        for longest in MOTION_ELEMENTS_M if moment_size else RELAXATION_ELEMENTS_M:
+            chain = cut(self.robot, joints, wrench, contact, longest)
             theta, moment = np.tile(chain.alpha, (chain.ends.size, 1)), np.zeros((chain.ends.size - 1, 2))
             if near is not None:
                 path, q = self._sections(near), len(self.robot.tubes)
@@ -277,16 +309,22 @@ class Statics:
                 frames, moments = path[:, 1:10].reshape(-1, 3, 3), path[:, 13 + 2 * q :]
                 bending = np.einsum("mji,mj->mi", frames, moments)[:, :2]
                 moment = _at(path, bending, 0.5 * (chain.ends[1:] + chain.ends[:-1]))
-            relaxed = relax(chain, theta, moment)
+            relaxed = (settle if wrench[3:].any() else relax)(chain, theta, moment)
             if relaxed is None:
                 continue
             guess = at_rest(joints, contact, len(self.robot.tubes))
-            guess.wrench[:] = force
+            guess.wrench[:] = wrench
             guess.unknowns[:] = base_unknowns(self.robot, chain, *relaxed)
-            found = self._newton(joints, force, guess, contact, careful=0)
-            if found is not None and self.negative_directions(found) == 0:
-                return self._follow(found, joints, wrench, contact, snaps=0) if wrench[3:].any() else found
+            found = self._newton(joints, wrench, guess, contact, careful=0)
+            if found is not None and (self.negative_directions(found) == 0 or self._is_same(found, chain, relaxed[0])):
+                return found
         return None
+
+    def _is_same(self, found: Solution, chain: ElementChain, k: Array) -> bool:
+        """Return whether a solution under a moment is the shape at which the robot came to rest with curvatures `k`."""
+        length = chain.ends[-1]
+        apart = float(np.linalg.norm(found.tip - tip(self.robot, chain, k)))
+        return bool(found.wrench[3:].any()) and found.stability > 0.0 and apart < MAX_RELAXATION_ERROR * length
 
     def _newton(self, joints: Array, wrench: Array, near: Solution, contact: float, careful: int) -> Solution | None:
         close = WARM_STEP_RAD if careful else COLD_STEP_RAD
@@ -306,6 +344,17 @@ class Statics:
         return self._scheme.sublink
 
     @cached_property
+    def used_integrator(self) -> Integrator:
+        """Name of the integrator in use: `integrator`, or by default `suitable_integrator`."""
+        return self.integrator or suitable_integrator(self.robot)
+
+    @property
+    def discretisation(self) -> str:
+        """Human-readable integrator and length of its sub-links."""
+        name = "the paper's" if self.used_integrator == "paper" else "fourth-order"
+        return f"{name} integrator, sub-links of {1e3 * self.step:.3g} mm"
+
+    @cached_property
     def compiled_arguments(self) -> tuple[Array, int, float, tuple[float, ...], tuple[float, ...]]:
         """Arguments of `core.model.newton` that are equal in all solves of this model: `_fixed`, then `_widths`."""
         return (*self._fixed, *self._widths)
@@ -323,7 +372,8 @@ class Statics:
 
     @cached_property
     def _scheme(self) -> Scheme:
-        return Scheme(INTEGRATORS[self.integrator], self.sublink or DEFAULT_SUBLINKS_M[self.integrator])
+        default = PAPER_SUBLINK_M if self.used_integrator == "paper" else suitable_sublink(self.robot)
+        return Scheme(INTEGRATORS[self.used_integrator], self.sublink or default)
 
     @cached_property
     def _fixed(self) -> tuple[Array, int, float]:
@@ -340,14 +390,25 @@ class Statics:
         return (0.0,) * q, (0.0,) * (-(-(q + 3 + n + 3) // 4) * 4)
 
 
-def suitable_integrator(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> Integrator:
-    """Return `paper`, or `fourth_order` if a curve bends a sub-link [m] by more than `MAX_SUBLINK_BEND_RAD`."""
-    return "paper" if sublink_bend(robot, sublink) <= MAX_SUBLINK_BEND_RAD else "fourth_order"
+def suitable_integrator(robot: Robot) -> Integrator:
+    """Return `paper` if the robot names it and the bend of a sub-link is small enough, else `fourth_order`."""
+    curvature = max(math.hypot(*section.curvature) for tube in robot.tubes for section in tube.sections)
+    accurate = PAPER_SUBLINK_M * curvature <= MAX_PAPER_BEND_RAD
+    return "paper" if robot.integrator == "paper" and accurate else "fourth_order"
 
 
-def sublink_bend(robot: Robot, sublink: float = PAPER_SUBLINK_M) -> float:
-    """Return the bend of a sub-link of length `sublink` [m] in the most curved section of all tubes [rad]."""
-    return sublink * max(math.hypot(*section.curvature) for tube in robot.tubes for section in tube.sections)
+def suitable_sublink(robot: Robot) -> float:
+    """Return the sub-link length [m] of the fourth-order integrator with which the tip error is negligible.
+
+    The sub-link is shorter for tubes with more precurvature, more bend by a load, or a larger ratio EI / GJ. Its length
+    is a smooth function of the tubes' parameters, so that a fit can use difference quotients.
+    """
+    curvature = max(
+        math.hypot(*section.curvature) * math.sqrt(max(1.0, tube.stiffness_ratio))
+        for tube in robot.tubes
+        for section in tube.sections
+    )
+    return min(MAX_SUBLINK_M, MAX_SUBLINK_TURN_RAD / math.hypot(curvature, LOAD_BEND_RAD / robot.tubes[0].length))
 
 
 def _at(path: Array, values: Array, lengths: Array) -> Array:

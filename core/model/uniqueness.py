@@ -26,7 +26,7 @@ snap condition of `robot.strength`, and for a single straight tube Euler's buckl
 import numpy as np
 
 from core.compiled import compiled
-from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout
+from core.robot.robot import FLUSH_TOLERANCE_M, Array, Layout, farthest_end
 
 #: Largest length of an element of the discretised energy, in metres [m] and as a fraction of the robot's length.
 MAX_ELEMENT_M, MAX_ELEMENT_SHARE = 0.025, 0.1
@@ -37,13 +37,14 @@ CLAMP_STIFFNESS = 1e9
 
 
 @compiled
-def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...]) -> bool:
+def is_unique(layout: Layout, beta: Array, force: float, contact: float, tubes: tuple[float, ...]) -> bool:
     """Return whether a proof exists that the robot has exactly one shape, and that it is stable.
 
     Args:
         layout: the robot.
         beta: proximal ends of the tubes (q,) [m].
-        force: largest size of the tip force, in any direction [N].
+        force: largest size of the force, in any direction [N].
+        contact: arc length from the plate at which the force acts [m]; inf for the tip.
         tubes: a tuple whose length is the number of tubes q, see `propagation.propagate`.
 
     Returns:
@@ -55,7 +56,8 @@ def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...
     carried, form = np.zeros((size, size)), np.zeros((2 * size, 2 * size))
     section = np.zeros(q, np.int64)
     bend, pull = np.empty(q), np.empty(q)
-    length = beta[0] + layout.ends[0, layout.counts[0] - 1]
+    tip, length = beta[0] + layout.ends[0, layout.counts[0] - 1], farthest_end(layout, beta)
+    reach = length if tip < contact < np.inf else tip  # at the point where the force acts, or beyond it
     carried[0, 0] = CLAMP_STIFFNESS * layout.stiffness[0, 0]
     for i in range(q):
         twist = layout.stiffness[i, 0] / layout.stiffness[i, 1]
@@ -84,8 +86,9 @@ def is_unique(layout: Layout, beta: Array, force: float, tubes: tuple[float, ...
         count = int(np.ceil((end - start) / min(MAX_ELEMENT_M, MAX_ELEMENT_SHARE * length)))
         h = (end - start) / count
         for number in range(count):
-            arm = length - start - (number + 0.5) * h
-            _element(form, h, total, bend, pull, layout.stiffness[:, 1], force, arm, size)
+            arm = reach - start - (number + 0.5) * h
+            pushed = force if arm > 0.0 else 0.0  # the load does not bend the tubes beyond the force
+            _element(form, h, total, bend, pull, layout.stiffness[:, 1], pushed, arm, size)
             if not _is_positive(carried, form, size):
                 return False
         start = end
@@ -121,7 +124,7 @@ def _element(
 
 @compiled
 def _put(form: Array, i: int, j: int, size: int, even: float, odd: float) -> None:
-    """Add 4 `even` times the product of variables i and j mid-element, and `odd` times that of their differences."""
+    """Add 4 `even` times the product of variables i and j mid-element, plus `odd` times that of their differences."""
     form[i, j] += even + odd
     form[i, size + j] += even - odd
     form[size + i, j] += even - odd

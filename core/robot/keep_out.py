@@ -1,18 +1,22 @@
 """Limit that keeps the loaded tubes out of forbidden regions of the workspace, or inside allowed ones.
 
-The clearance of the tubes is the smallest distance of
-their centre line less their radius and the region's margin; for an allowed region the distance changes its sign. The
-limit slows the motion toward a region as other limits do: the clearance over `BRAKING_TIME_CONSTANT_S` bounds the
-speed at which the nearest point of each part of the tubes approaches it. The clearance is that at the time when a
-command takes effect. The speed with which a rising load pushes the point toward the region counts as approach.
+The clearance is the smallest distance of the tubes' centre line from the region, less the tubes' radius and the
+region's margin; for an allowed region the distance changes its sign. The clearance over `BRAKING_TIME_CONSTANT_S`
+bounds the speed at which the nearest point of each part of the tubes approaches the region. The limit predicts the
+clearance at the time when a command takes effect. The speed at which a rising load pushes a point toward the region
+counts as approach.
 
 Where the nearest wall changes, for example at an edge of a lumen, the direction of the distance jumps. Tubes that slide
-along one wall would meet the next wall without braking. Therefore the surface is probed around the nearest point, and
-the tangent plane of the surface nearest to each probe bounds the approach, too. Planes are left out that lie in front
-of the surface, as those of a convex body do. A point on each side of the nearest point bounds rotations about it.
+along one wall would meet the next wall without braking. Therefore the limit probes the surface around the nearest
+point. The tangent plane at the surface point nearest to each probe bounds the approach, too. Planes in front of the
+surface are left out, for example those of a convex body. Two further points, one on each side of the nearest point,
+bound rotations about it. The tubes can touch several walls at once, so all `Backbone` points of a near part have rows.
 
-A load can push the tubes nearer than the margin. During a motion the robot then retreats until the clearance is zero
-(`core.control.retreat`); without a motion it does not move.
+The distance of a moving point changes by no more than the point moves. A mesh whose distance changes more has a wrong
+sign somewhere, and the robot could retreat into the region: `smallest_distance` and `check` then raise an error.
+
+A load can push the tubes nearer to a region than its margin. During a motion the robot then retreats until the
+clearance is zero (`core.control.retreat`); without a motion it does not move.
 """
 
 from collections.abc import Sequence
@@ -31,19 +35,22 @@ from core.robot.robot import Array
 
 #: Names of the parts of the tubes; each has rows of the limit, for its point that is nearest to the region.
 PARTS = ("first quarter", "second quarter", "third quarter", "last quarter", "end of an outer tube")
-#: Clearance beyond which a part of the tubes has only the row of its nearest point, which is one of the points [m].
+#: Clearance beyond which a part of the tubes has only one row, for its nearest point of `Backbone` [m].
 NEAR_M = 0.002
-#: Distance from the nearest point at which the surface is probed, forward and back along each axis [m].
+#: Distance from the nearest point at which the surface is probed, in both directions along each axis [m].
 PROBE_M = 0.002
-#: Distance of the two further points of the tubes from the nearest point, over the distance of the points.
+#: Distance of the two further points from the nearest point of the tubes, in spacings of the `Backbone` points.
 NEIGHBOUR = 0.5
-#: Rows of each part of the tubes: those of its nearest point, of the probes, and of the two further points.
-PROBES = 6
-ROWS = 1 + PROBES + 2
-#: Distance by which the clearance may be missed, because the limit lets the tubes come close to the margin [m].
+#: Rows of each part of the tubes: its nearest point, the probes, the two further points, and all its `Backbone` points
+#: (`GIVEN`), because a part can lie between several walls. Of 32 points along the tubes a quarter has at most 9.
+PROBES, GIVEN = 6, 9
+ROWS = 1 + PROBES + 2 + GIVEN
+#: Largest accepted violation of the margin [m], because the limit lets the tubes come close to the margin.
 TOLERANCE_M = 1e-4
 #: Clearance at which the tubes stop [m]; noise of the tracker and errors of the model change the clearance by as much.
-RESERVE_M = 1.5e-4
+RESERVE_M = 2.5e-4
+#: Largest accepted `_jump` [m]: change of a distance beyond the motion of its point. Rounding causes less.
+MAX_JUMP_M = 1e-4
 #: Time constant of a retreat [s], twice the delay of the stages.
 RETREAT_TIME_S = 0.15
 
@@ -62,10 +69,11 @@ class Evaluation(NamedTuple):
 
     near: Backbone
     rows: Array  #: (5 `ROWS`, n) rows of the limit
-    room: Array  #: (5 `ROWS`,) signed room; where it is negative, a retreat is necessary, with this speed [m/s]
+    room: Array  #: (5 `ROWS`,) signed room; where it is negative, a retreat at this speed is necessary [m/s]
     parts: Array  #: (5, 7) clearance of each part [m], its nearest point [m], and the direction in which it grows
     smallest: float  #: smallest clearance [m]
-    measured: Array  #: (m, 7) place of each point when it was measured last, and the region's distance and direction
+    jump: float  #: largest `_jump`: change of a distance beyond the motion of its point [m]
+    measured: Array  #: (m, 7) for each point: position at its last measurement, and distance and direction there
 
 
 @built_in
@@ -86,8 +94,18 @@ class KeepOut:
         return found.rows, np.maximum(found.room, 0.0)
 
     def smallest_distance(self, near: Backbone) -> float:
-        """Return the distance of `clearance` [m]."""
-        return self.evaluated(near).smallest
+        """Return the smallest clearance of tubes along `near` [m]; raise PoseError if the region's distance jumps."""
+        found = self.evaluated(near)
+        self._check_jump(found)
+        return found.smallest
+
+    def _check_jump(self, found: Evaluation) -> None:
+        if found.jump > MAX_JUMP_M:
+            raise PoseError(
+                f"the distance of the tubes from the region '{self.region.name}' jumps by {1e3 * found.jump:.2g} mm"
+                f" more than the tubes moved (at most {1e3 * MAX_JUMP_M:g} mm), so the region's surface is wrong;"
+                " repair the region's mesh and restart the station"
+            )
 
     def clearance(self, near: Backbone) -> Clearance:
         """Return the smallest clearance of tubes along `near`."""
@@ -108,14 +126,15 @@ class KeepOut:
             measured = last.measured.copy()  # another thread may read it
         else:
             measured = np.full((len(points), 7), -np.inf)
-        smallest = _rows(
+        smallest, jump = _rows(
             self.region.packed, *self.region.mesh, *near, measured, BRAKING_TIME_CONSTANT_S, RETREAT_TIME_S, *arrays
         )
-        self.__dict__["_last"] = new = Evaluation(near, *arrays, smallest, measured)
+        self.__dict__["_last"] = new = Evaluation(near, *arrays, smallest, jump, measured)
         return new
 
     def check(self, at: LimitContext) -> None:
-        """Raise PoseError where the tubes are nearer to the region than its margin."""
+        """Raise PoseError where the tubes are nearer to the region than its margin, or where its distance jumps."""
+        self._check_jump(self.evaluated(at.backbone))
         found, region = self.clearance(at.backbone), self.region
         if found.distance < -TOLERANCE_M:
             side = "inside" if region.inside else "outside"
@@ -132,7 +151,7 @@ def smallest_clearance(limits: Sequence[object], near: Backbone) -> tuple[str, C
 
 
 def region_at(limits: Sequence[object], point: Array) -> str | None:
-    """Return the name of the first region among `limits` whose margin a point (3,) [m] misses; None: there is none."""
+    """Return the name of the first region of `limits` to which a point (3,) [m] is nearer than the margin, or None."""
     for limit in limits:
         if isinstance(limit, KeepOut):
             region = limit.region
@@ -143,32 +162,35 @@ def region_at(limits: Sequence[object], point: Array) -> str | None:
 
 @compiled
 def _rows(
-    region: Array, triangles: Array, normals: Array, spheres: Array, boxes: Array, contents: NDArray[np.int64],
-    points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int, measured: Array,
-    braking: float, retreat: float, rows: Array, room: Array, parts: Array,
-) -> float:  # fmt: skip
-    """Compute the arrays of an `Evaluation`, and return the smallest clearance.
+    region: Array, triangles: Array, normals: Array, mean_normals: Array, spheres: Array, boxes: Array,
+    contents: NDArray[np.int64], points: Array, radii: Array, jacobian: Array, drift: Array, ahead: Array, along: int,
+    measured: Array, braking: float, retreat: float, rows: Array, room: Array, parts: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Compute the arrays of an `Evaluation`, and return the smallest clearance and the largest jump.
 
-    `measured` is that of the last evaluation on entry; its distances that may still be the smallest are renewed.
+    On entry, `measured` is that of the last evaluation; distances that could be the smallest are measured again.
     """
-    surface = Mesh(triangles, normals, spheres, boxes, contents)
+    surface = Mesh(triangles, normals, mean_normals, spheres, boxes, contents)
     sign, margin, quarters = region[1], region[2], parts.shape[0] - 1
     convex = region[0] != MESH and sign > 0.0
     point, probe, normal, vector = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    room[:], parts[:, 0] = 1.0 / braking, np.inf
+    room[:], parts[:, 0], jump = 1.0 / braking, np.inf, 0.0
     for part in range(parts.shape[0]):
         first, last = part * (along - 1) // quarters, (part + 1) * (along - 1) // quarters
         if part == quarters:
             first, last = along, points.shape[0] - 1
-        at, best = _nearest_index(region, surface, points, radii, first, last, measured, normal)
+        at, best, jumped = _nearest_index(region, surface, points, radii, first, last, measured, normal)
         if at < 0:
             continue  # a robot of one tube has no outer ends
+        nearest, jump = at, max(jump, jumped)
         share, between = 0.0, at < along and along > 2
         if best - margin < NEAR_M and between:
-            end, at = at - min(max(at, 1), along - 2), min(max(at, 1), along - 2)  # the ends have one neighbour
+            end, at = at - min(max(at, 1), along - 2), min(max(at, 1), along - 2)  # not the first or last point
             share = _nearest_share(region, surface, points, at, end, best + radii[at + end])
             _between(points, at, share, point)
-            best = sign * signed_distance(region, surface, point, normal) - radii[at + int(np.floor(share))]
+            distance = sign * signed_distance(region, surface, point, normal)
+            jump = max(jump, _jump(measured[nearest], point, distance))
+            best = distance - radii[at + int(np.floor(share))]
         else:
             _between(points, at, share, point)
         best -= margin
@@ -177,21 +199,27 @@ def _rows(
             parts[part, 1 + k], parts[part, 4 + k] = point[k], sign * normal[k]
         for number in range(ROWS if best < NEAR_M else 1):
             if convex and 0 < number <= PROBES:
-                continue  # its tangent planes lie in front of the surface
-            place, row = share, part * ROWS + number
-            if number > PROBES:
-                place += NEIGHBOUR if number == ROWS - 1 else -NEIGHBOUR
+                continue  # the tangent planes of a convex body lie in front of its surface
+            place, middle, row = share, at, part * ROWS + number
+            if number >= ROWS - GIVEN:
+                place, middle = 0.0, first + number - (ROWS - GIVEN)
+                if middle > last:
+                    break
+            elif number > PROBES:
+                place += NEIGHBOUR if number == PROBES + 2 else -NEIGHBOUR
                 if not (between and 0.0 <= at + place <= along - 1.0):
                     continue
-            _between(points, at, place, point)
-            _between(ahead, at, place, vector)
+            _between(points, middle, place, point)
+            _between(ahead, middle, place, vector)
             for k in range(3):
                 point[k] += vector[k]
                 probe[k] = point[k]
             if 0 < number <= PROBES:
                 probe[(number - 1) // 2] += PROBE_M if number % 2 == 0 else -PROBE_M
-            radius = radii[at + int(np.floor(place))]
-            left = sign * signed_distance(region, surface, probe, normal) - radius - margin - RESERVE_M
+            radius = radii[middle + int(np.floor(place))]
+            distance = sign * signed_distance(region, surface, probe, normal)
+            jump = max(jump, _jump(measured[nearest], probe, distance))
+            left = distance - radius - margin - RESERVE_M
             for k in range(3):
                 normal[k] *= sign
                 left += normal[k] * (point[k] - probe[k])
@@ -200,26 +228,28 @@ def _rows(
             elif number <= PROBES and left < best + 1e-9:
                 continue  # the surface is flat or convex
             for j in range(rows.shape[1]):
-                _between(jacobian[:, :, j], at, place, vector)
+                _between(jacobian[:, :, j], middle, place, vector)
                 rows[row, j] = -_product(normal, vector)
-            _between(drift, at, place, vector)
+            _between(drift, middle, place, vector)
             pushed = min(_product(normal, vector), 0.0)  # a load that pulls away may end at any time
             room[row] = left / (braking if left > 0.0 else retreat) + pushed
-    return parts[:, 0].min()
+    return parts[:, 0].min(), jump
 
 
 @compiled
 def _nearest_index(
     region: Array, surface: Mesh, points: Array, radii: Array, first: int, last: int, measured: Array, normal: Array
-) -> tuple[int, float]:
-    """Return the index of the nearest point from `first` to `last`, and the distance of the tubes there.
+) -> tuple[int, float, float]:
+    """Return the index of the nearest point from `first` to `last`, the distance of the tubes there, and a jump.
 
-    A distance changes at most as much as its point moves. So each measured distance less the motion since then bounds
-    the present one, and only points are measured that can be the nearest. The index is -1 if there are no points.
+    The jump is the largest of `_jump` between two measurements of a point, and between a point and the one before it.
+
+    A distance changes by no more than its point moves. Each measured distance less the motion since then is therefore
+    a lower bound, and only points that can be the nearest are measured. The index is -1 if there are no points.
     `normal` becomes the direction in which the region's distance grows there.
     """
-    best, at = np.inf, -1
-    for _ in range(last - first + 2):  # each turn but the last one measures one point
+    best, at, jump, direction = np.inf, -1, 0.0, np.empty(3)
+    for _ in range(last - first + 2):  # each iteration but the last one measures one point
         best, at, unknown = np.inf, -1, False
         for i in range(first, last + 1):
             moved = _square(points[i], measured[i])
@@ -228,17 +258,28 @@ def _nearest_index(
                 best, at, unknown = bound, i, moved != 0.0
         if not unknown:
             break
-        measured[at, :3] = points[at]
-        measured[at, 3] = region[1] * signed_distance(region, surface, points[at], measured[at, 4:])
+        distance = region[1] * signed_distance(region, surface, points[at], direction)
+        jump = max(
+            jump, _jump(measured[at], points[at], distance), _jump(measured[max(at - 1, 0)], points[at], distance)
+        )
+        measured[at, :3], measured[at, 3], measured[at, 4:] = points[at], distance, direction
     if at >= 0:
         for k in range(3):
             normal[k] = measured[at, 4 + k]
-    return at, best
+    return at, best, jump
+
+
+@compiled
+def _jump(measured: Array, point: Array, distance: float) -> float:
+    """Return by how much a distance differs from a measured one beyond the distance between both points [m]."""
+    if not np.isfinite(measured[3]):
+        return 0.0
+    return abs(distance - measured[3]) - np.sqrt(_square(point, measured))
 
 
 @compiled
 def _between(values: Array, at: int, share: float, out: Array) -> None:
-    """Write the vector between row `at` and its neighbours, quadratic; `share` is from -1 to 1."""
+    """Write the vector between row `at` and its neighbours (`share` -1 ... 1), by quadratic interpolation."""
     for k in range(3):
         out[k] = values[at, k]
         if share != 0.0:
@@ -248,7 +289,7 @@ def _between(values: Array, at: int, share: float, out: Array) -> None:
 
 @compiled
 def _nearest_share(region: Array, surface: Mesh, points: Array, at: int, end: int, distance: float) -> float:
-    """Return where between the neighbours of point `at` the curve is nearest to the region, from -1 to 1.
+    """Return the share (-1 ... 1) between the neighbours of point `at` at which the curve is nearest to the region.
 
     `end` is -1 or 1 if the nearest point is the first or the last one, else 0; `distance` is that of the nearest point.
     The search is a golden section.

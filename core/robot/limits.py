@@ -20,22 +20,21 @@ from core.robot.robot import FLUSH_TOLERANCE_M, Array, Robot, positive
 
 #: Time constant with which the robot approaches a limit [s]; it is several times the delay of the stages.
 BRAKING_TIME_CONSTANT_S = 0.25
-#: Smallest distance between tubes that could collide [m]. The distance is needed because the stages receive commands
-#: one at a time and keep moving between commands.
+#: Smallest distance between tubes that could collide [m]; it is needed because stages keep moving between commands.
 MIN_TUBE_DISTANCE_M = 5e-4
 
 T = TypeVar("T")
 
 
 class Backbone(NamedTuple):
-    """Points along the loaded tubes from the plate to the tip, world frame."""
+    """Points along the loaded tubes from the plate to the last tube end, world frame."""
 
     points: Array  #: (m, 3) positions on the centre line [m]
     radii: Array  #: (m,) radius of the outermost tube at each point [m]
     jacobian: Array  #: (m, 3, n) derivative of each point by the joints [m/rad or m/m]
     drift: Array  #: (m, 3) velocity of each point that the joints do not cause [m/s]
     ahead: Array  #: (m, 3) displacement of each point until a command sent now takes effect [m]
-    along: int  #: number of points from the plate to the tip; those after them are the ends of outer tubes
+    along: int  #: number of points from the plate to the last tube end; the points after them are other tubes' ends
 
 
 class LimitContext(Protocol):
@@ -104,8 +103,8 @@ class JointLimit:
     unit: str
     lower: float
     upper: float
-    speed: float  #: largest speed, per second
-    acceleration: float  #: largest acceleration, per second squared
+    speed: float  #: largest speed [rad/s or m/s]
+    acceleration: float  #: largest acceleration [rad/s^2 or m/s^2]
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper):
@@ -129,7 +128,9 @@ class Limits:
     joints: tuple[JointLimit, ...]
     reaction: float = 0.075  #: time from a command to its effect, during which the joint keeps moving [s]
     others: tuple[Limit, ...] = ()  #: limits of several joints together
-    overload: ForceBound | None = None  #: force above which a motion stops; it does not limit velocities
+    overload: ForceBound | None = None  #: force above which a motion stops; this bound does not limit velocities
+    #: order of the tubes that searches and redundant joints keep; it limits motions only if `others` contains it, too
+    tube_order: "TubeOrder | None" = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.reaction) and self.reaction >= 0.0):
@@ -148,8 +149,15 @@ class Limits:
     @cached_property
     def order(self) -> tuple[Array, Array]:
         """Rows (m, n) and bounds (m,) of the tube order [m]; empty where the joints' travel ensures the order."""
-        found = next((limit for limit in self.others if isinstance(limit, TubeOrder)), None)
-        return (np.empty((0, len(self.joints))), np.empty(0)) if found is None else (found.matrix, found.bound)
+        return self._order_rows(self.tube_order)
+
+    @cached_property
+    def required_order(self) -> tuple[Array, Array]:
+        """Rows and bounds of the tube order that limits motions; empty if the order does not limit them."""
+        return self._order_rows(next((limit for limit in self.others if isinstance(limit, TubeOrder)), None))
+
+    def _order_rows(self, order: "TubeOrder | None") -> tuple[Array, Array]:
+        return (np.empty((0, len(self.joints))), np.empty(0)) if order is None else (order.matrix, order.bound)
 
     def check(self, joints: Array) -> None:
         """Raise PoseError when a position (n,) is not finite or outside its travel."""
@@ -208,7 +216,7 @@ class Limits:
         """Return the names of the limits that changed a command.
 
         Args:
-            joints: (n,) [rad or m].
+            joints: joint positions (n,) [rad or m].
             at_bound: (n,) -1: joint velocity at its lower bound; 0: free; 1: at its upper bound.
             at_row: (m,) 1 where a limit of several joints is active.
 
@@ -227,15 +235,21 @@ class Limits:
 
 @dataclass(frozen=True)
 class TubeOrder:
-    """Limit of the tube order: no tube starts in front of, or ends inside, the next outer tube."""
+    """Limit of the tube order: no tube starts in front of the next outer tube, or ends behind the plate.
+
+    If required, no tube ends inside the next outer tube, either.
+    """
 
     names: tuple[str, ...]
-    matrix: Array  #: (m, n)
-    bound: Array  #: (m,) matrix @ joints <= bound [m]
+    matrix: Array  #: (m, n) coefficients of the joint positions
+    bound: Array  #: (m,) bounds: matrix @ joints <= bound [m]
 
     @classmethod
-    def of(cls, robot: Robot, joints: tuple[JointLimit, ...]) -> "TubeOrder | None":
-        """Return the tube order limit of a robot; None if the joints' travel already ensures the order."""
+    def of(cls, robot: Robot, joints: tuple[JointLimit, ...], ends: bool = True) -> "TubeOrder | None":
+        """Return the tube order limit of a robot; None if the joints' travel already ensures the order.
+
+        `ends`: whether every tube has to end beyond the tube around it.
+        """
         slides = {joint.tube: k for k, joint in enumerate(robot.joints) if joint.motion == "translation"}
         names: list[str] = []
         rows: list[Array] = []
@@ -267,7 +281,7 @@ class TubeOrder:
                     names.append(f"end of tube '{tube.name}' in front of the plate")
                     rows.append(row)
                     bounds.append(tube.length)
-            else:
+            elif ends:
                 longer = tube.length - robot.tubes[outer].length
                 keep(f"end of tube '{tube.name}' beyond that of {around}", outer, i, longer)
         return cls(tuple(names), np.array(rows), np.array(bounds)) if names else None
@@ -300,7 +314,7 @@ class Workspace:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """One text per face of the box."""
+        """Names of the rows: one for each face of the box, with its bound."""
         high = [f"workspace {axis} <= {bound:g} m" for axis, bound in zip("xyz", self.upper, strict=True)]
         return (*high, *(f"workspace {axis} >= {bound:g} m" for axis, bound in zip("xyz", self.lower, strict=True)))
 
@@ -352,7 +366,7 @@ _BUILT_IN_LIMITS: set[type] = {TubeOrder, Workspace, ForceLimit}
 
 
 def built_in(limit: type[T]) -> type[T]:
-    """Register a type of limits of this package."""
+    """Register a class as built-in limit, as a class decorator."""
     _BUILT_IN_LIMITS.add(limit)
     return limit
 
@@ -365,7 +379,7 @@ def _rows_of(limit: Limit, at: LimitContext) -> tuple[Array, Array]:
     rows = numbers(who, "rows", matrix, (m, at.joints.size), "per rad or m")
     room = numbers(who, "room", bound, (m,), "1/s")
     if (room < 0.0).any():
-        raise ContractError(f"{who}: room is {room.tolist()}; none of it may be below 0")
+        raise ContractError(f"{who}: room is {room.tolist()}; no element may be below 0")
     return rows, room
 
 
@@ -397,6 +411,6 @@ def _braking(room: float, acceleration: float, lag: float) -> float:
 
     `lag` is the acceleration a times the reaction time.
     """
-    if not room > 0.0:  # also for NaN: min and max would return full speed
+    if not room > 0.0:  # also true for NaN, for which min and max would return full speed
         return 0.0
     return np.sqrt(lag * lag + 2.0 * acceleration * room) - lag

@@ -1,8 +1,9 @@
-"""Regions of the workspace, and the signed distance of a point to them: negative inside, with its direction of growth.
+"""Regions of the workspace, the signed distance of a point to them (negative inside), and the direction of its growth.
 
-The distance to a mesh is that to its nearest triangle. The triangles are in a binary tree of boxes, and a search leaves
-out boxes that are farther away than the nearest triangle so far. A triangle is tried only if the disc around it in its
-plane can be nearer.
+The distance to a mesh is the distance to its nearest triangle. The triangle's normal determines the sign. If the
+nearest point is on an edge or a corner, the mean normal there, weighted by angles, determines the sign (Baerentzen and
+Aanaes 2005). The triangles are in a binary tree of boxes. A search skips boxes that are farther away than the nearest
+triangle so far. It evaluates a triangle only if the disc around it in its plane could be nearer.
 """
 
 import math
@@ -17,13 +18,16 @@ from core.compiled import compiled
 from core.errors import DescriptionError
 from core.robot.robot import Array
 
-#: Kinds of regions in packed numbers.
+#: Kinds of regions, as numbers in `Region.packed`.
 SPHERE, CAPSULE, BOX, HALF_SPACE, MESH = range(5)
-#: Largest number of triangles of a mesh, and of a box without further boxes in it.
+#: Largest number of triangles of a mesh, and of a leaf of its tree (a box without further boxes in it).
 MAX_TRIANGLES, LEAF = 100_000, 8
-#: Largest extent of a mesh [m]; a file in a wrong unit is larger.
-MAX_EXTENT_M = 2.0
-#: Largest number of boxes that wait in a search: one for each level of the tree, whose levels halve the triangles.
+#: Bounds of a mesh's largest extent [m]. They reveal a wrong unit: a file in metres that is read as millimetres is
+#: smaller, and a file in millimetres that is read as metres is larger.
+MIN_EXTENT_M, MAX_EXTENT_M = 1e-3, 2.0
+#: Largest coordinate of a mesh [m]; rounding makes the shape of a mesh that is much farther away uncertain.
+MAX_AWAY_M = 20.0
+#: Size of the stack of boxes in a search: one box for each level of the tree, and each level halves the triangles.
 MAX_WAITING = 32
 
 
@@ -32,33 +36,58 @@ class Mesh(NamedTuple):
 
     triangles: Array  #: (t, 3, 3) corners, world frame [m]; seen from outside they are counter-clockwise
     normals: Array  #: (t, 3) outward unit vectors
+    #: (t, 6, 3) mean normals at the corners of each triangle, and at its edges from corner 0 to 1, 1 to 2 and 2 to 0
+    mean_normals: Array
     spheres: Array  #: (t, 4) centre and radius of a sphere around each triangle [m]
     boxes: Array  #: (b, 6) lowest and highest corner of each box; the first box contains all triangles [m]
-    #: (b, 2) index of the first triangle of a box, and its number of triangles. A box of boxes has the number 0: it
-    #: contains the box after it, and the box whose index is given instead of a triangle's.
+    #: (b, 2) for a box of triangles: index of its first triangle, and their number. For a box of two boxes: index of
+    #: the second box, and 0; the first one is the box in the next row.
     contents: NDArray[np.int64]
 
 
-#: Mesh of regions that have none.
-NO_MESH = Mesh(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 6)), np.empty((0, 2), np.int64))
+#: Empty mesh, for regions of the other kinds.
+NO_MESH = Mesh(
+    np.empty((0, 3, 3)),
+    np.empty((0, 3)),
+    np.empty((0, 6, 3)),
+    np.empty((0, 4)),
+    np.empty((0, 6)),
+    np.empty((0, 2), np.int64),
+)
+
+
+def check_triangles(triangles: Array) -> None:
+    """Check number, corners and extent of triangles (t, 3, 3) [m].
+
+    Raises:
+        DescriptionError: no triangle, too many, corners that are not finite, or an extent that is out of range.
+    """
+    if triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not 0 < len(triangles) <= MAX_TRIANGLES:
+        raise DescriptionError(f"a mesh has {len(triangles)} triangles; it must have 1 ... {MAX_TRIANGLES}")
+    if not np.isfinite(triangles).all():
+        raise DescriptionError("a mesh has corners that are not finite")
+    with np.errstate(over="ignore"):
+        extent = np.ptp(triangles.reshape(-1, 3), axis=0)
+        size = " x ".join(f"{length:.3g}" for length in 1e3 * extent)
+    if not MIN_EXTENT_M <= extent.max() <= MAX_EXTENT_M:
+        raise DescriptionError(
+            f"a mesh of {size} mm is too {'large' if extent.max() > MAX_EXTENT_M else 'small'} (its largest extent must"
+            f" be {1e3 * MIN_EXTENT_M:g} ... {1e3 * MAX_EXTENT_M:g} mm); is its unit right? scale = 0.001 reads a file"
+            " in millimetres, scale = 1.0 a file in metres"
+        )
+    if (away := float(np.abs(triangles).max())) > MAX_AWAY_M:
+        raise DescriptionError(
+            f"a mesh has a coordinate of {1e3 * away:.3g} mm (at most {1e3 * MAX_AWAY_M:g} mm); move it near the origin"
+        )
 
 
 def mesh(triangles: Array) -> Mesh:
-    """Return the mesh of closed, outward triangles (t, 3, 3) [m].
+    """Return the mesh of closed, outward triangles (t, 3, 3) [m]; `core.robot.closed_surface` checks that they are.
 
     Raises:
-        DescriptionError: no triangle, too many, corners that are not finite, or a mesh above `MAX_EXTENT_M`.
+        DescriptionError: as `check_triangles`.
     """
-    if triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not 0 < len(triangles) <= MAX_TRIANGLES:
-        raise DescriptionError(f"a mesh has {len(triangles)} triangles; 1 ... {MAX_TRIANGLES} are possible")
-    if not np.isfinite(triangles).all():
-        raise DescriptionError("a mesh has corners that are not finite")
-    extent = np.ptp(triangles.reshape(-1, 3), axis=0)
-    if extent.max() > MAX_EXTENT_M:
-        size = (1e3 * extent).round().astype(int).tolist()
-        raise DescriptionError(
-            f"a mesh of {size} mm is too large (at most {1e3 * MAX_EXTENT_M:.0f} mm); is its unit right?"
-        )
+    check_triangles(triangles)
     order, boxes, contents = _tree(triangles)
     triangles = np.ascontiguousarray(triangles[order])
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -66,7 +95,23 @@ def mesh(triangles: Array) -> Mesh:
     centroids = triangles.mean(axis=1)
     radii = np.linalg.norm(triangles - centroids[:, None], axis=2).max(axis=1)
     spheres = np.column_stack((centroids, radii * (1.0 + 1e-9)))  # rounding must not leave a corner outside
-    return Mesh(triangles, normals, spheres, boxes, contents)
+    return Mesh(triangles, normals, _mean_normals(triangles, normals), spheres, boxes, contents)
+
+
+def _mean_normals(triangles: Array, normals: Array) -> Array:
+    """Return `Mesh.mean_normals` (t, 6, 3); their lengths have no meaning."""
+    _, indices = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    faces, found = indices.reshape(-1, 3), np.empty((len(triangles), 6, 3))
+    after, before = np.roll(triangles, -1, axis=1) - triangles, np.roll(triangles, 1, axis=1) - triangles
+    sizes = np.linalg.norm(np.cross(after, before), axis=2)
+    angles = np.arctan2(sizes, np.sum(after * before, axis=2))
+    ends = np.sort(np.stack((faces, np.roll(faces, -1, axis=1)), axis=2), axis=2)
+    _, edges = np.unique(ends[..., 0] * (int(faces.max()) + 1) + ends[..., 1], return_inverse=True)
+    for column, keys, weights in ((0, faces, angles), (3, edges.reshape(-1, 3), np.ones_like(angles))):
+        for k in range(3):
+            sums = np.bincount(keys.ravel(), (weights * normals[:, k, None]).ravel())
+            found[:, column : column + 3, k] = sums[keys]
+    return found
 
 
 def _tree(triangles: Array) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
@@ -195,7 +240,7 @@ def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
         if squares[count] > best * (1.0 + 1e-9):
             continue
         first, number = surface.contents[box, 0], surface.contents[box, 1]
-        if number == 0:  # the nearer of the two boxes in it comes next
+        if number == 0:  # a box of two boxes: search the nearer one next
             near, far = box + 1, first
             to_near, to_far = _square_to_box(surface.boxes, near, point), _square_to_box(surface.boxes, far, point)
             if to_far < to_near:
@@ -206,22 +251,16 @@ def _mesh_distance(surface: Mesh, point: Array, direction: Array) -> float:
         for t in range(first, first + number):
             if not _may_reach(surface.normals, surface.spheres, t, point, reachable):
                 continue
-            square = _to_triangle(surface.triangles, t, point, offset)
-            if square > best * (1.0 + 1e-9):
+            square, feature = _to_triangle(surface.triangles, t, point, offset)
+            if square >= best:
                 continue
-            # At an edge or a corner several triangles are equally near; the one that the point is farthest from as a
-            # plane decides whether the point is inside.
-            height = 0.0
-            for k in range(3):
-                height += surface.normals[t, k] * offset[k]
-            if square < best * (1.0 - 1e-9) or abs(height) > abs(side):
-                side = height
-            if square < best:
-                best, reachable = square, np.sqrt(square) * (1.0 + 1e-9)
+            best, reachable, side = square, np.sqrt(square) * (1.0 + 1e-9), 0.0
             for k in range(3):
                 direction[k] = offset[k]
+                normal = surface.normals[t, k] if feature < 0 else surface.mean_normals[t, feature, k]
+                side += normal * offset[k]
     distance = _normalised(direction)
-    if distance < 1e-9:  # on the surface: grows along the normal of the triangle
+    if distance < 1e-9:  # on the surface, where the side of the offset is only rounding
         return 0.0
     if side < 0.0:
         for k in range(3):
@@ -246,7 +285,7 @@ def _square_to_box(boxes: Array, box: int, point: Array) -> float:
 def _may_reach(normals: Array, spheres: Array, t: int, point: Array, reachable: float) -> bool:
     """Return False if triangle number t is certainly farther from `point` than `reachable` [m].
 
-    The triangle is inside a disc of its plane, around the centre of its sphere.
+    The triangle is inside the disc in its plane around the centre of its sphere.
     """
     height, square = 0.0, 0.0
     for k in range(3):
@@ -258,10 +297,12 @@ def _may_reach(normals: Array, spheres: Array, t: int, point: Array, reachable: 
 
 
 @compiled
-def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float:
-    """Write the vector from the nearest point of triangle number t to `point`; return its square [m^2].
+def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> tuple[float, int]:
+    """Write the vector from the nearest point of triangle number t to `point`; return its square [m^2] and a feature.
 
-    The nearest point is found by the regions of Ericson, Real-Time Collision Detection (2005), 5.1.5.
+    The feature is the index of `Mesh.mean_normals` if the nearest point is on a corner or an edge, else -1.
+
+    The search distinguishes the Voronoi regions of Ericson, Real-Time Collision Detection (2005), section 5.1.5.
     """
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
@@ -273,19 +314,19 @@ def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float
         d5 += ab * (point[k] - triangles[t, 2, k])
         d6 += ac * (point[k] - triangles[t, 2, k])
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    v, w = 0.0, 0.0  # nearest point: corner 0 + v (corner 1 - corner 0) + w (corner 2 - corner 0)
+    v, w, feature = 0.0, 0.0, -1  # nearest point: corner 0 + v (corner 1 - corner 0) + w (corner 2 - corner 0)
     if d1 <= 0.0 and d2 <= 0.0:
-        pass
+        feature = 0
     elif d3 >= 0.0 and d4 <= d3:
-        v = 1.0
+        v, feature = 1.0, 1
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
+        v, feature = d1 / (d1 - d3), 3
     elif d6 >= 0.0 and d5 <= d6:
-        w = 1.0
+        w, feature = 1.0, 2
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
+        w, feature = d2 / (d2 - d6), 5
     elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        w, feature = (d4 - d3) / ((d4 - d3) + (d5 - d6)), 4
         v = 1.0 - w
     else:
         v, w = vb / (va + vb + vc), vc / (va + vb + vc)
@@ -294,4 +335,4 @@ def _to_triangle(triangles: Array, t: int, point: Array, offset: Array) -> float
         nearest = (1.0 - v - w) * triangles[t, 0, k] + v * triangles[t, 1, k] + w * triangles[t, 2, k]
         offset[k] = point[k] - nearest
         square += offset[k] * offset[k]
-    return square
+    return square, feature

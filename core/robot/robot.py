@@ -3,6 +3,9 @@
 Conventions: the world's origin is at the front plate, +z points along the straight tubes, and the arc length is 0 at
 the plate. `beta` of a tube is the position of its proximal end along z (never positive). A rigid guide keeps the tubes
 straight behind the plate. A precurvature (1/r, 0) at rotation 0 bends the free tube toward -y.
+
+The tip is always the distal end of the innermost tube, which carries the tracker's coil, even if this tube is retracted
+into outer tubes. The tip therefore never jumps when tube ends pass each other. The load acts at the tip.
 """
 
 import math
@@ -21,10 +24,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-#: Largest number of tubes, of sections per tube, and largest length of a tube [m]. Real robots are smaller. The bounds
-#: catch a wrong length unit, with which a solve would take hours.
+#: Largest number of tubes, largest number of sections per tube, and largest length of a tube [m]. Real robots are
+#: smaller. The bounds reveal a wrong length unit, with which a solve would take hours.
 MAX_TUBES, MAX_SECTIONS, MAX_LENGTH_M = 8, 50, 5.0
-#: Largest distance at which two tube ends count as flush [m]: it covers rounding in sums of lengths and positions.
+#: Largest distance at which a tube's end counts as flush with another one or with the plate [m]: it covers rounding in
+#: sums of lengths and positions.
 FLUSH_TOLERANCE_M = 1e-9
 
 
@@ -50,6 +54,7 @@ class Tube:
     rotation: float = 0.0  #: rotation of a tube without rotation joint [rad]
     translation: float = 0.0  #: proximal end of a tube without translation joint [m]
     weight: float = 0.0  #: own weight [N/m], for calibration only: the control model ignores it
+    max_strain: float = 0.08  #: largest strain from which the material recovers its shape; 0.08: superelastic nitinol
 
     def __post_init__(self) -> None:
         positive(f"tube '{self.name}': bending_stiffness", self.bending_stiffness, "N m^2")
@@ -84,6 +89,7 @@ class Tube:
             )
         if not 0.0 <= self.weight < math.inf:
             raise DescriptionError(f"tube '{self.name}': weight {self.weight:g} N/m must be finite and not negative")
+        positive(f"tube '{self.name}': max_strain", self.max_strain, "")
 
     @property
     def length(self) -> float:
@@ -103,7 +109,7 @@ class Joint:
     """One motor: it turns or slides one tube at its proximal end."""
 
     name: str
-    tube: int  #: index, 0 = innermost
+    tube: int  #: index of the tube; 0 is the innermost
     motion: Literal["rotation", "translation"]
 
     @property
@@ -122,7 +128,7 @@ class Base:
     def __post_init__(self) -> None:
         for name, vector in (("position", self.position), ("rotation_vector", self.rotation_vector)):
             if len(vector) != 3 or not all(math.isfinite(number) for number in vector):
-                raise DescriptionError(f"base: {name} {vector} is not three finite numbers")
+                raise DescriptionError(f"base: {name} {vector} must be three finite numbers")
 
     @property
     def rotation(self) -> Array:
@@ -147,6 +153,7 @@ class Layout(NamedTuple):
     joint_slides: Indices  #: (n,) 1 for a translation, 0 for a rotation
     rest: Array  #: (q, 2) rotation [rad] and translation [m] of each tube, used where no joint sets the value
     base: Array  #: (12,) rotation of the plate by rows, then its position [m]
+    carried: Indices  #: (s,) index of the tube that each force sensor carries; -1: it carries the whole robot
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,11 @@ class Robot:
     tubes: tuple[Tube, ...]
     joints: tuple[Joint, ...]
     base: Base = Base()
+    #: "paper": the model uses the paper's integrator while it is accurate enough, see `statics.suitable_integrator`
+    integrator: Literal["paper"] | None = None
+    #: location of the force sensors: "tubes", one sensor at each tube; "robot", one sensor under the plate; or the name
+    #: of the only tube with a sensor
+    sensed: str = "tubes"
 
     def __post_init__(self) -> None:
         if not self.tubes:
@@ -178,9 +190,9 @@ class Robot:
                     f"joint '{joint.name}': tube {joint.tube} is outside 0 ... {len(self.tubes) - 1}"
                 )
             if joint.motion not in ("rotation", "translation"):
-                raise DescriptionError(f"joint '{joint.name}': motion '{joint.motion}' is not rotation or translation")
+                raise DescriptionError(f"joint '{joint.name}': motion '{joint.motion}' must be rotation or translation")
             if (joint.tube, joint.motion) in seen:
-                raise DescriptionError(f"joint '{joint.name}': {joint.motion} of tube {joint.tube} is moved twice")
+                raise DescriptionError(f"joint '{joint.name}': {joint.motion} of tube {joint.tube} already has a joint")
             seen.add((joint.tube, joint.motion))
         if len({joint.name for joint in self.joints}) < len(self.joints):
             raise DescriptionError(f"robot '{self.name}': two joints have the same name")
@@ -189,20 +201,20 @@ class Robot:
     def _check_fixed_tubes(self, sliding: set[int]) -> None:
         """Reject fixed tubes (without translation joint) that collide with each other or end inside the guide."""
         fixed = [tube for i, tube in reversed(list(enumerate(self.tubes))) if i not in sliding]
-        bound, around = 0.0, "the plate"
         for tube in fixed:
-            end = tube.translation + tube.length
-            if not ends_beyond(end, bound):
-                raise DescriptionError(
-                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, but must end beyond {around} at {1e3 * bound:g} mm"
-                )
-            bound, around = end, f"the end of tube '{tube.name}'"
+            if (end := tube.translation + tube.length) < -FLUSH_TOLERANCE_M:
+                raise DescriptionError(f"tube '{tube.name}' {_behind_plate(end)}")
         for outer, inner in pairwise(fixed):
             if inner.translation > outer.translation:
                 raise DescriptionError(
                     f"tube '{inner.name}' starts at {1e3 * inner.translation:g} mm,"
                     f" in front of tube '{outer.name}' at {1e3 * outer.translation:g} mm"
                 )
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the parts that the force sensors carry: tubes, or `robot` for the whole robot."""
+        return tuple(tube.name for tube in self.tubes) if self.sensed == "tubes" else (self.sensed,)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -213,6 +225,7 @@ class Robot:
     def layout(self) -> Layout:
         """Description of the robot as arrays for compiled functions."""
         q, k = len(self.tubes), max(len(tube.sections) for tube in self.tubes)
+        at = {tube.name: i for i, tube in enumerate(self.tubes)}
         ends, curvatures = np.zeros((q, k)), np.zeros((q, k, 2))
         for i, tube in enumerate(self.tubes):
             ends[i, : len(tube.sections)] = np.cumsum([section.length for section in tube.sections])
@@ -226,19 +239,24 @@ class Robot:
             np.array([joint.motion == "translation" for joint in self.joints], dtype=np.int64),
             np.array([[tube.rotation, tube.translation] for tube in self.tubes]),
             np.concatenate((self.base.rotation.ravel(), self.base.position)),
+            np.array([at.get(name, -1) for name in self.sensor_names], dtype=np.int64),
         )
 
     @cached_property
     def packed(self) -> Array:
         """The layout in one array, because every array argument adds time to the call of a compiled function."""
         q, k = self.layout.ends.shape
-        sizes = np.array([q, k, len(self.joints)], dtype=np.int64)
+        sizes = np.array([q, k, len(self.joints), len(self.sensor_names)], dtype=np.int64)
         return np.concatenate([np.ascontiguousarray(part).ravel().view(np.float64) for part in (sizes, *self.layout)])
 
     def tube_poses(self, joints: Array) -> tuple[Array, Array]:
         """Return rotation alpha (q,) [rad] and proximal end beta (q,) [m] of every tube at `joints` (n,)."""
         alpha, beta, _ = tube_poses(self.layout, joints)
         return alpha, beta
+
+    def tube_ends(self, joints: Array) -> Array:
+        """Return the arc length (q,) from the plate to every tube's distal end [m]; the first one is the tip's."""
+        return self.tube_poses(joints)[1] + np.array([tube.length for tube in self.tubes])
 
     def is_valid_pose(self, joints: Array) -> bool:
         """Return whether the pose `joints` (n,) is valid; `check_pose` gives the reason if not."""
@@ -249,7 +267,7 @@ class Robot:
 
         Raises:
             PoseError: a position is not finite; a proximal end is in front of the plate or of the next outer tube's
-                proximal end; or a tube ends behind the plate or inside the tube around it. Flush ends are valid.
+                proximal end; or a tube ends behind the plate. A tube may end at the plate, or inside another tube.
 
         """
         if joints.shape != (len(self.joints),):
@@ -265,42 +283,37 @@ class Robot:
                     f"tube '{tube.name}' starts at {1e3 * start:g} mm, in front of {around} at {1e3 * bound:g} mm"
                 )
             bound, around = start, f"tube '{tube.name}'"
-        bound, around = 0.0, "the plate"
-        for tube, start in zip(reversed(self.tubes), reversed(beta), strict=True):
-            end = start + tube.length
-            if not ends_beyond(end, bound):
-                raise PoseError(
-                    f"tube '{tube.name}' ends at {1e3 * end:g} mm, but must end beyond {around} at {1e3 * bound:g} mm"
-                )
-            bound, around = end, f"the end of tube '{tube.name}'"
+        for tube, end in zip(self.tubes, self.tube_ends(joints).tolist(), strict=True):
+            if end < -FLUSH_TOLERANCE_M:
+                raise PoseError(f"tube '{tube.name}' {_behind_plate(end)}")
 
     def check_contact(self, joints: Array, contact: float | None) -> float:
         """Return the arc length of a contact from the plate [m]; inf for None (a contact at the tip).
 
         Raises:
-            PoseError: the contact is behind the plate or beyond the tip.
+            PoseError: the contact is behind the plate or beyond the last tube end.
 
         """
         if contact is None:
             return math.inf
-        length = float(self.tube_poses(joints)[1][0]) + self.tubes[0].length
+        length = max(float(self.tube_ends(joints).max()), 0.0)
         if not 0.0 <= contact <= length:
-            raise PoseError(f"contact at {1e3 * contact:g} mm is outside 0 ... {1e3 * length:g} mm (the tip)")
+            raise PoseError(f"contact at {1e3 * contact:g} mm is outside 0 ... {1e3 * length:g} mm (the last tube end)")
         return contact
 
 
 @compiled
-def _shapes(q: int, k: int, n: int) -> Shapes:
-    """Return the shapes of the sizes q, k and n, and of each array of a `Layout`, in `Robot.packed`."""
-    return (1, 3), (q, k), (q, 2 * k), (1, q), (q, 2), (1, n), (1, n), (q, 2), (1, 12)
+def _shapes(q: int, k: int, n: int, s: int) -> Shapes:
+    """Return the shapes of the sizes q, k, n and s, and of each array of a `Layout`, in `Robot.packed`."""
+    return (1, 4), (q, k), (q, 2 * k), (1, q), (q, 2), (1, n), (1, n), (q, 2), (1, 12), (1, s)
 
 
 @compiled
 def unpack(packed: Array) -> Layout:
     """Return the layout of `Robot.packed`; its arrays are views."""
-    sizes = packed[:3].view(np.int64)
+    sizes = packed[:4].view(np.int64)
     q, k = sizes[0], sizes[1]
-    shapes = _shapes(q, k, sizes[2])
+    shapes = _shapes(q, k, sizes[2], sizes[3])
     return Layout(
         part(packed, shapes, 1),
         part(packed, shapes, 2).reshape(q, k, 2),
@@ -310,16 +323,21 @@ def unpack(packed: Array) -> Layout:
         part(packed, shapes, 6)[0].view(np.int64),
         part(packed, shapes, 7),
         part(packed, shapes, 8)[0],
+        part(packed, shapes, 9)[0].view(np.int64),
     )
 
 
-@compiled
-def ends_beyond(end: float, bound: float) -> bool:
-    """Return whether a tube that ends at `end` extends beyond the plate (`bound` 0) or a tube that ends at `bound` [m].
+def _behind_plate(end: float) -> str:
+    return f"ends at {round(1e3 * end, 6):g} mm, but must not end behind the plate at 0 mm"
 
-    The tube may be flush with another tube, but not with the plate, where its free length would be zero.
-    """
-    return end > bound or (bound > 0.0 and end >= bound - FLUSH_TOLERANCE_M)
+
+@compiled
+def farthest_end(layout: Layout, beta: Array) -> float:
+    """Return the arc length from the plate to the most distal end of any tube [m], at the proximal ends `beta` (q,)."""
+    farthest = 0.0
+    for i in range(beta.shape[0]):
+        farthest = max(farthest, beta[i] + layout.ends[i, layout.counts[i] - 1])
+    return farthest
 
 
 @compiled
@@ -335,12 +353,26 @@ def tube_poses(layout: Layout, joints: Array) -> tuple[Array, Array, bool]:
             beta[layout.joint_tube[j]] = joints[j]
         else:
             alpha[layout.joint_tube[j]] = joints[j]
-    start, end, valid = 0.0, 0.0, True
+    start, valid = 0.0, True
     for i in range(q - 1, -1, -1):
-        distal = beta[i] + layout.ends[i, layout.counts[i] - 1]
-        valid = valid and beta[i] <= start and ends_beyond(distal, end) and np.isfinite(alpha[i])
-        start, end = beta[i], distal
+        end = beta[i] + layout.ends[i, layout.counts[i] - 1]
+        valid = valid and beta[i] <= start and end >= -FLUSH_TOLERANCE_M and np.isfinite(alpha[i])
+        start = beta[i]
     return alpha, beta, valid
+
+
+@compiled
+def sensor_poses(layout: Layout, joints: Array) -> tuple[Array, Array]:
+    """Return rotation (s,) [rad] and position along z (s,) [m] of every force sensor in the plate's frame.
+
+    A sensor that carries a tube moves with the tube's proximal end; a sensor of the whole robot is fixed to the plate.
+    """
+    alpha, beta, _ = tube_poses(layout, joints)
+    turned, at = np.zeros(layout.carried.shape[0]), np.zeros(layout.carried.shape[0])
+    for i in range(turned.shape[0]):
+        if layout.carried[i] >= 0:
+            turned[i], at[i] = alpha[layout.carried[i]], beta[layout.carried[i]]
+    return turned, at
 
 
 def positive(what: str, value: float, unit: str) -> None:

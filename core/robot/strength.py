@@ -2,20 +2,21 @@
 
 **Snap number.** Consider two tubes with curvatures u1 and u2 and equal curved lengths L. Let l be the length of a
 single straight tube that twists as much as the straight parts of both tubes together. With k^2 = (1 + nu) u1 u2, this
-pair rotates without a snap when (Dupont et al. 2010; Ha, Park, Dupont 2016)
+pair rotates without a snap if
 
-    k L < pi / 2   and   S = l k tan(k L) < 1.
+    k L < pi / 2   and   S = l k tan(k L) < 1   (Dupont et al. 2010; Ha, Park, Dupont 2016).
 
-S is the snap number. For any tubes the snap number is 1 - D / D0. D is the determinant of the end conditions by the
-base torsion, at the worst alignment of the tubes' curves (each parallel or opposite, without torsion). D0 is the same
-determinant without the twist of the tubes before their curves overlap. For the pair above the result is exactly S. The
-margin under load is `Solution.stability`, the same determinant at the loaded shape.
+S is the snap number. For any tubes the snap number is 1 - D / D0. D is the determinant of the derivative of the end
+torsion by the base torsion, at the worst alignment of the tubes' curves (each parallel or opposite, without torsion).
+D0 is the same determinant without the twist of the tubes before their curves overlap. For the pair above the result is
+exactly S. The margin under load is `Solution.stability`, the same determinant at the loaded shape.
 
 **Largest tip force.** A force F across a robot that reaches L beyond the plate bends the robot with a moment of at most
 F L. The largest force is the smallest of three bounds:
 
 * a base sensor's force:  F = 0.6 force range
-* a base sensor's moment: F = 0.6 moment range  sum(EI) / (max(EI) L): tubes share the moment in proportion to EI
+* a base sensor's moment: F = 0.6 moment range  sum(EI) / (max(EI) L): tubes share the moment in proportion to EI;
+  F = 0.9 moment range / L for one sensor under the whole robot, in which the forces between the tubes cancel
 * the innermost tube alone: F = EI (strain limit / radius - curvature imposed by the tubes) / L
 
 The rest of each sensor range is reserved for the forces and moments between the tubes, which the sensors also measure.
@@ -113,7 +114,7 @@ def _pieces(robot: Robot, beta: Array) -> list[tuple[float, float, Array]]:
 def _determinant(
     robot: Robot, beta: Array, pieces: list[tuple[float, float, Array]], signs: Array, bare: bool
 ) -> float:
-    """Return the determinant of end torsion by base torsion; `bare` ignores the twist before the curves overlap."""
+    """Return the determinant of d end torsion / d base torsion; `bare` ignores the twist before the curves overlap."""
     q = len(robot.tubes)
     turn, twist = np.diag(-beta), np.eye(q)
     met = False
@@ -143,9 +144,24 @@ def _determinant(
     return float(np.linalg.det(twist))
 
 
-#: Largest fraction of a base sensor's range that the load may use.
-LOAD_PART = 0.6
-#: Largest strain at a tube's surface (no unit): with a reserve, nitinol and nylon still recover their shape from it.
+def straightened_strains(robot: Robot, lower: Array) -> Array:
+    """Return the strain (q,) at each tube's surface where the guide straightens its curves.
+
+    A curve is straightened if it enters the guide behind the plate at the lower ends `lower` (n,) of the travels.
+    """
+    strains, (_, beta) = np.zeros(len(robot.tubes)), robot.tube_poses(lower)
+    for i, (tube, start) in enumerate(zip(robot.tubes, beta.tolist(), strict=True)):
+        for section in tube.sections:
+            if start < 0.0:
+                strains[i] = max(strains[i], 0.5 * tube.outer_diameter * math.hypot(*section.curvature))
+            start += section.length
+    return strains
+
+
+#: Largest fraction of a sensor's range that the load may use: for a sensor at a tube, and for a sensor under the whole
+#: robot, which needs a reserve only for its offset and for moving weights.
+LOAD_PART, WHOLE_LOAD_PART = 0.6, 0.9
+#: Largest strain at a tube's surface under a tip force (no unit): with a reserve, nitinol and nylon recover from it.
 MAX_STRAIN = 0.03
 #: Ranges of the ATI Nano43 SI-18-0.25, the sensor of the paper's bench: force [N] and moment [N m].
 NANO43_RANGES = (18.0, 0.25)
@@ -158,11 +174,15 @@ def force_bound(robot: Robot, joints: Sequence[JointLimit], ranges: tuple[float,
     reach = inner.length + (inner.translation if slide is None else joints[slide].upper)
     stiffness = [tube.bending_stiffness for tube in robot.tubes]
     curved = [max(math.hypot(*section.curvature) for section in tube.sections) for tube in robot.tubes]
-    reserve = MAX_STRAIN / (0.5 * inner.outer_diameter) - curved[0] - max(curved[1:], default=0.0)
-    force, moment = (LOAD_PART * each for each in ranges)
+    reserve = (
+        min(MAX_STRAIN, inner.max_strain) / (0.5 * inner.outer_diameter) - curved[0] - max(curved[1:], default=0.0)
+    )
+    whole = robot.sensed == "robot"
+    force, moment = ((WHOLE_LOAD_PART if whole else LOAD_PART) * each for each in ranges)
+    largest_share = 1.0 if whole else max(stiffness) / sum(stiffness)
     bounds = (
         ForceBound(force, "the force range of a base sensor"),
-        ForceBound(moment * sum(stiffness) / (max(stiffness) * reach), "the moment range of a base sensor"),
+        ForceBound(moment / (largest_share * reach), "the moment range of a base sensor"),
         ForceBound(inner.bending_stiffness * reserve / reach, f"the strain of tube '{inner.name}'"),
     )
     return min((bound for bound in bounds if bound.newton > 0.0), key=lambda bound: bound.newton)
@@ -175,13 +195,16 @@ def own_weight(robot: Robot, joints: Array) -> float:
 
         F = integral of w(s) s^2 (3 L - s) / (2 L^3) ds        (3/8 w L for one tube from the plate to the tip).
 
-    The formula ignores curvature, and ignores that the inner tube is softer than the bundle. The resulting error is
-    some percent of a sag of half a millimetre.
+    The weight beyond a retracted tip, at s > L, counts with L^2 (3 s - L) / (2 L^3). The formula ignores curvature, and
+    ignores that the inner tube is softer than the bundle. The resulting error is a few percent of a sag of half a
+    millimetre.
     """
-    _, beta = robot.tube_poses(joints)
-    ends = [float(start) + tube.length for start, tube in zip(beta, robot.tubes, strict=True)]
-    tip = ends[0]
-    return sum(
-        tube.weight * (tip * end**3 - 0.25 * end**4) / (2.0 * tip**3)
-        for tube, end in zip(robot.tubes, ends, strict=True)
-    )
+    tip, *_ = ends = robot.tube_ends(joints).tolist()
+    if tip <= 0.0:
+        return 0.0
+    force = 0.0
+    for tube, end in zip(robot.tubes, ends, strict=True):
+        near, beyond = min(end, tip), max(end, tip)
+        force += tube.weight * (tip * near**3 - 0.25 * near**4) / (2.0 * tip**3)
+        force += tube.weight * (beyond - tip) * (1.5 * (beyond + tip) - tip) / (2.0 * tip)
+    return force

@@ -18,8 +18,8 @@ from station.control.child_process import ChildProcess
 from station.control.realtime import last_core, request_fifo, request_realtime, set_process_name
 from station.control.ring import SCHEDULER, Ring
 from station.control.states import State
+from station.service.commands import Start
 from station.service.station_file import load_station
-from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 
 #: Real-time priority of the timer, above that of the control loop and of its other threads.
@@ -102,18 +102,15 @@ def loop(seconds: float, progress: Callable[[float], None], *, fifo: bool = True
             steal = stolen_seconds()
             supervisor.ring.clear_timing()
             probe.clear()
-            StationService(supervisor).start_motion(
-                CircleMotion(radius=0.010, period=20.0),
-                load=RaisedCosineLoad(peak=0.3, period=15.0),
-                duration=seconds + 60.0,
-            )
+            motion, load = CircleMotion(radius=0.010, period=20.0), RaisedCosineLoad(peak=0.3, period=15.0)
+            supervisor.send(Start(trajectory=motion, load=load, duration=seconds + 60.0))
             start = time.monotonic()
             while (passed := time.monotonic() - start) < seconds:
                 time.sleep(min(0.25, seconds - passed))
                 progress(min(1.0, passed / seconds))
                 status = supervisor.status()
                 if status.state is not State.RUNNING:
-                    raise CtrError(f"the loop changed to {status.state.name}: {status.cause}")
+                    raise CtrError(f"the loop left RUNNING and is in {status.state.name}: {status.cause}")
             result = {**figures(supervisor.ring, seconds, stolen_seconds() - steal), "computer": probe.figures()}
         finally:
             supervisor.close()

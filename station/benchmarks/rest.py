@@ -14,15 +14,15 @@ import httpx
 from core.errors import CtrError
 from station.benchmarks.served import START_TIMEOUT_S, ServedStation, browser, open_page, serve_station
 
-#: Number of measured starts. One start before them compiles on a new installation.
+#: Number of measured starts. An unmeasured start precedes them, because it compiles on a new installation.
 STARTS = 3
 
 
 class Use(NamedTuple):
-    """What a process has used until now, and what it occupies."""
+    """Processor time and memory of a process."""
 
     processor: float  #: processor time since its start [s]
-    memory: float  #: memory, with its share of the memory that several processes use [MB]
+    memory: float  #: memory, with the process's share of shared memory [MB]
 
 
 def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
                 progress(0.7)
                 if (chromium := browser()) is not None:
                     stack.enter_context(open_page(station, chromium, folder / "browser"))
-                    # For a first page the station checks all experiments on the model; this answer waits for that.
+                    # When a page opens first, the station checks all experiments with the model; this request waits.
                     httpx.get(f"{station.url}api/experiments", timeout=START_TIMEOUT_S).raise_for_status()
                     result["page open"] = _at_rest(station, seconds)
         progress(0.1 * (number + 1) if number < STARTS else 1.0)
@@ -63,7 +63,7 @@ def rest(seconds: float, progress: Callable[[float], None]) -> dict[str, Any]:
 
 
 def _at_rest(station: ServedStation, seconds: float) -> dict[str, Any]:
-    """Return percent of a processor and memory [MB] of each process of a station during `seconds` [s]."""
+    """Return processor use [% of one processor] and memory [MB] of each process of a station during `seconds` [s]."""
     before, started = processes(station.pid), time.monotonic()
     time.sleep(seconds)
     after, passed = processes(station.pid), time.monotonic() - started
@@ -77,9 +77,9 @@ def _at_rest(station: ServedStation, seconds: float) -> dict[str, Any]:
 
 
 def processes(pid: int) -> dict[str, Use]:
-    """Return what the process `pid` and its children use, by name; the process itself has the name `station`.
+    """Return processor time and memory of the process `pid`, named `station`, and of its children by name.
 
-    Children of the same name, such as several cameras, are added.
+    The values of children with the same name, such as several cameras, are added.
     """
     found = {"station": _use(pid)}
     for task in Path(f"/proc/{pid}/task").iterdir():

@@ -71,7 +71,7 @@ def serve_station(folder: Path, settings: Mapping[str, Any]) -> Iterator[ServedS
     command = [sys.executable, "-c", "from web.cli import main; main()", "serve", "--no-browser", "--port", "0"]
     started = time.monotonic()
     with output.open("w", encoding="utf-8") as out:
-        process = subprocess.Popen(  # noqa: S603 - ourselves
+        process = subprocess.Popen(  # noqa: S603 - this program itself
             [*command, "--config", str(config), "--data", str(folder)], stdout=out, stderr=subprocess.STDOUT
         )
     try:

@@ -9,9 +9,13 @@ from station.calibration.plan import PlanSubject
 from station.calibration.procedure import Procedure
 from station.calibration.procedures import Effort
 from station.config.controllers import Present
+from station.config.robots import RobotFile
+from station.config.strict import ConfigError
 
-#: Known weights that a procedure uses if no others are configured [N].
+#: Known weights that a procedure uses if no others are configured, for a robot that bears them [N].
 DEFAULT_WEIGHTS_N = Effort().weights
+#: Largest known weight, as a fraction of the largest force on the tip: the true tubes may be softer than described.
+WEIGHT_SHARE = 0.75
 
 
 class ProcedureInfo(NamedTuple):
@@ -70,11 +74,33 @@ PROCEDURES: Mapping[str, ProcedureInfo] = {
         "known weights, a thread to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
         1150.0, 410.0, True, procedures.tubes,
     ),
+    "residual": ProcedureInfo(
+        "Tubes, and the residual of the model",
+        "Like the procedure above, with more poses: also learns the remaining error of the model, and corrects it.",
+        "known weights, a thread to hang them at the tip, and a caliper: the coil's middle at the tip to 0.3 mm",
+        2900.0, 850.0, True, procedures.residual,
+    ),
 }  # fmt: skip
 
 
+def known_weights(robot: RobotFile, weights: tuple[float, ...] = ()) -> tuple[float, ...]:
+    """Return the known weights of a procedure [N]: `weights`, or the usual ones, smaller for a soft robot.
+
+    Raises:
+        ConfigError: a weight exceeds the largest force on the tip of this robot.
+    """
+    bound = robot.largest_force()
+    if weights and max(weights) > bound.newton:
+        raise ConfigError(
+            f"a weight of {max(weights):g} N is more than the {bound.newton:.3g} N that '{robot.name}' bears"
+            f" ({bound.reason}); use lighter ones"
+        )
+    scale = min(1.0, WEIGHT_SHARE * bound.newton / max(DEFAULT_WEIGHTS_N))
+    return weights or tuple(float(f"{scale * one:.2g}") for one in DEFAULT_WEIGHTS_N)
+
+
 def start_procedure(
-    what: str, subject: PlanSubject, effort: float = 1.0, weights: tuple[float, ...] = DEFAULT_WEIGHTS_N
+    what: str, subject: PlanSubject, effort: float = 1.0, weights: tuple[float, ...] = ()
 ) -> Procedure[Any]:
     """Return the procedure `what` at its first step.
 
@@ -82,6 +108,10 @@ def start_procedure(
         what: name of the procedure in `PROCEDURES`.
         subject: the robot with its assumed parameters.
         effort: factor that multiplies the default number of poses.
-        weights: known weights that the operator hangs at the tip [N].
+        weights: known weights that the operator hangs at the tip [N]; empty: the usual ones.
+
+    Raises:
+        ConfigError: a weight exceeds the largest force on the tip of this robot.
     """
-    return PROCEDURES[what].start_procedure(subject, replace(Effort().scaled(effort), weights=weights))
+    chosen = known_weights(subject.file, weights)
+    return PROCEDURES[what].start_procedure(subject, replace(Effort().scaled(effort), weights=chosen))

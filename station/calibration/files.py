@@ -1,4 +1,4 @@
-"""Writes the files of a calibration: registration.toml, sensors.toml and robot.toml in one folder, with provenance.
+"""Writes the files of a calibration to one folder: registration, sensors, robot, and the previous robot file.
 
 Values are SI; intervals are 95 %. `station.control.bench_calibration` reads the files back.
 """
@@ -19,7 +19,15 @@ from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
 from station.config.strict import FORMAT, ConfigError, Strict, toml_lines, toml_string
-from station.control.bench_calibration import CAMERAS_FILE, REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
+from station.control.calibrated_robot import (
+    DESCRIBED_FILE,
+    KINDS,
+    LATENCY_FILE,
+    REGISTRATION_FILE,
+    RESIDUAL_FILE,
+    ROBOT_FILE,
+    SENSORS_FILE,
+)
 from station.devices.aurora.tracker import TrackerMounting
 
 #: File names of the measurements, the numbers and the report.
@@ -48,14 +56,16 @@ def new_folder(out: Path, name: str) -> Path:
 
 
 def carry_over(known: Path, folder: Path) -> list[Path]:
-    """Copy the files of an earlier calibration that `folder` does not have, and return the copies.
+    """Copy the files of an earlier calibration that are missing in `folder`, and return the copies.
 
     Raises:
         ConfigError: a file cannot be read or written.
     """
     copies: list[Path] = []
-    for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE, CAMERAS_FILE):
-        if (known / name).is_file() and not (folder / name).exists():
+    # The residual belongs to the tubes and frames with which it was learned.
+    outdated = {RESIDUAL_FILE} if any((folder / name).exists() for name in (REGISTRATION_FILE, ROBOT_FILE)) else set()
+    for name in (*KINDS, DESCRIBED_FILE):
+        if name not in outdated and (known / name).is_file() and not (folder / name).exists():
             try:
                 text = (known / name).read_text(encoding="utf-8")
             except OSError as error:
@@ -74,7 +84,7 @@ def write_registration(
     first = names.index("frame rotation x")
     half = 1.96 * fit.errors[first : first + 6]
     text = f"""# Pose of the tracker: p_robot = R(rotation_vector) p_tracker + position.
-# The rotation about z counts from the zero angle of the outermost tube, z from the plate by its straight length.
+# The rotation about z is relative to the zero angle of the outermost tube, and z to its straight length.
 format = {FORMAT}
 robot = {toml_string(robot.name)}
 made = {toml_string(made)}
@@ -82,7 +92,7 @@ rotation_vector = {_row(vector_from_rotation(whole.rotation))}  # [rad]
 position = {_row(whole.position)}  # [m]
 coil = {_row(frames.coil)}  # in the frame of the innermost tube's tip [m]
 {_axis(axis)}rms_error = {math.sqrt(float(np.mean(errors**2))):.3g}  # [m]
-rotation_interval = {_row(half[:3], 3)}  # half of 95 % [rad]
+rotation_interval = {_row(half[:3], 3)}  # half width of the 95 % interval [rad]
 position_interval = {_row(half[3:], 3)}  # [m]
 """
     return _write(folder / REGISTRATION_FILE, text)
@@ -97,15 +107,24 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
         f"made = {toml_string(made)}",
         f"gravity = {_row(found.sensors.gravity)}  # plate's frame",
     ]
-    skew = np.zeros((len(robot.tubes), 6, 6)) if found.sensors.skew is None else found.sensors.skew
-    for i, tube in enumerate(robot.tubes):
-        turn = found.fit.interval(f"{tube.name} mounting z")
-        lines += [
-            "",
-            f"[tubes.{tube.name}]",
-            f"mounting = {_row(vector_from_rotation(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
+    skew = np.zeros((len(robot.sensor_names), 6, 6)) if found.sensors.skew is None else found.sensors.skew
+    hanging = [
+        (
             f"weight = {found.sensors.weight[i]:.6g}  # [N], +-{found.fit.interval(f'{tube.name} weight'):.2g}",
             f"first_moment = {_row(found.sensors.first_moment[i])}  # [N m]",
+        )
+        for i, tube in enumerate(robot.tubes)
+    ]
+    if robot.sensed == "robot":
+        for tube, weight in zip(robot.tubes, hanging, strict=True):
+            lines += ["", f"[robot_sensor.weights.{tube.name}]", *weight]
+    for i, name in enumerate(robot.sensor_names):
+        turn = found.fit.interval(f"{name} mounting z")
+        lines += [
+            "",
+            "[robot_sensor]" if name == "robot" else f"[tubes.{name}]",
+            f"mounting = {_row(vector_from_rotation(found.sensors.mounting[i]))}  # [rad], about z +-{turn:.2g} (95 %)",
+            *(() if name == "robot" else hanging[i]),
             "skew = [  # part of each reading that is gain and cross-talk [N, N m by N, N m]",
             *(f"    {_row(row, 6)}," for row in skew[i]),
             "]",
@@ -114,26 +133,45 @@ def write_sensors(folder: Path, robot: Robot, found: SensorCalibration, made: st
     return _write(folder / SENSORS_FILE, "\n".join(lines) + "\n")
 
 
+def write_latency(folder: Path, added: float, made: str) -> Path:
+    """Write the latency `added` that the tracker has in addition to the configured one [s]."""
+    lines = toml_lines({"format": FORMAT, "made": made, "added": round(added, 6)})
+    return _write(folder / LATENCY_FILE, "\n".join(["# Latency of the tracker.", *lines]) + "\n")
+
+
 def write_robot(folder: Path, described: RobotFile, found: TubeCalibration, made: str) -> Path:
     """Write the robot file with the calibrated tubes; comments have the previous values and the intervals.
 
     Every key of the file is written: calibrated values replace the previous ones, all others are copied.
     """
     file = described.model_copy(update={"format": FORMAT, "source": f"calibrated: {made}"})
+    tubes = [_tube(described, found, index) for index in range(len(described.tubes))]
+    return _write(folder / ROBOT_FILE, robot_text(file, tubes))
+
+
+def write_described(folder: Path, described: RobotFile) -> Path:
+    """Write the robot's file for which a calibration is made, to find later changes of it."""
+    text = f"# The robot's file for which this calibration was made.\n{robot_text(described)}"
+    return _write(folder / DESCRIBED_FILE, text)
+
+
+def robot_text(file: RobotFile, tubes: Sequence[Sequence[str]] = ()) -> str:
+    """Return a robot as the TOML text of its file; `tubes` are lines for each tube, if they have comments."""
+    tubes = tubes or [toml_lines(tube.model_dump()) for tube in file.tubes]
     lines: list[str] = []
     tables: list[str] = []
     for key in type(file).model_fields:
         value = getattr(file, key)
         if key == "tubes":
-            for index in range(len(value)):
-                tables += ["", "[[tubes]]", *_tube(described, found, index)]
+            for tube in tubes:
+                tables += ["", "[[tubes]]", *tube]
         elif isinstance(value, Strict):
             tables += ["", f"[{key}]", *toml_lines(value.model_dump())]
         elif isinstance(value, tuple) and all(isinstance(part, Strict) for part in value):
             tables += [line for part in value for line in ("", f"[[{key}]]", *toml_lines(part.model_dump()))]
         else:
             lines += toml_lines({key: value})
-    return _write(folder / ROBOT_FILE, "\n".join(lines + tables) + "\n")
+    return "\n".join(lines + tables) + "\n"
 
 
 def _tube(described: RobotFile, found: TubeCalibration, index: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""Converts the findings of a validation (model compared with measured poses) to sentences."""
+"""Findings of a validation, which compares a model with measured poses, as sentences."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,6 +14,9 @@ LARGE_ERROR_SHARE = 0.05
 #: Share of the median error above which a finding reports that errors differ between arrivals from below and
 #: from above.
 MIN_DIRECTION_DIFFERENCE = 0.25
+#: Difference of the mean errors of two groups that pure noise exceeds in one of 1000 cases: the root of the quantile of
+#: the chi-square distribution with three degrees of freedom, relative to the median length of the errors (Maxwell).
+CHANCE = 2.62
 #: Correlation of neighbouring errors above which a finding reports the correlation.
 MIN_CORRELATION = 0.3
 
@@ -26,13 +29,14 @@ def findings(validation: Validation) -> list[str]:
         *_prior_sentences(validation.best),
         *_information_sentences(validation),
         *_residual_words(validation),
+        *_learned_words(validation),
         *_direction_sentences(validation),
         *_pose_sentences(validation),
     ]
 
 
 def _size_sentences(validation: Validation) -> Iterator[str]:
-    """Report errors that wrong tubes cannot explain, and other interpretations of the columns with smaller errors."""
+    """Report errors that are too large for wrong tubes, and interpretations of the columns with smaller errors."""
     median, length = (
         ErrorStatistics.of(validation.errors[-1]).median,
         max(tube.length for tube in validation.robot.tubes),
@@ -66,7 +70,7 @@ def _information_sentences(validation: Validation) -> Iterator[str]:
     if validation.stride > 1:
         yield f"Every {validation.stride}th pose was fitted; the errors are those of all poses."
     for reason in best.requested.omitted:
-        if best.extent in ("tubes", "friction") or reason.startswith("lag"):
+        if best.extent in ("tubes", "friction", "residual") or reason.startswith("lag"):
             yield f"Not fitted: {reason}."
 
 
@@ -75,7 +79,7 @@ def _residual_words(validation: Validation) -> Iterator[str]:
     left = validation.residual
     if left.kind == "unknown" or validation.best.fit is None:
         return
-    parts = [f"the joints predict {_percent(left.smooth)} of its square"]
+    parts = [f"the joints predict {_percent(left.smooth)} of the squared residual"]
     if math.isfinite(left.motion):
         parts.append(f"joints and previous motions {_percent(left.motion)}")
     kinds = {
@@ -93,9 +97,29 @@ def _residual_words(validation: Validation) -> Iterator[str]:
             f" the mean error from {1e3 * left.mean:.3f} to {1e3 * left.learned:.3f} mm at held-out poses."
         )
     if not validation.poses.timed:
-        yield "The poses have no order: add a column 'time' [s] to separate friction from what is smooth."
+        yield "The poses have no order: add a column 'time' [s] to separate friction from a smooth residual."
     elif left.last_pose > MIN_CORRELATION:
         yield f"The errors of consecutive poses are correlated ({left.last_pose:.2f})."
+
+
+def _learned_words(validation: Validation) -> Iterator[str]:
+    """Report the learned residual: its size, what limits it, and its effect outside its data."""
+    best, outside = validation.best, validation.extrapolation
+    if best.extent != "residual":
+        return
+    if best.learned is None:
+        yield "No residual was learned, because none predicts the errors on held-out trajectories."
+        return
+    yield (
+        f"The residual is learned from {len(best.learned.support)} support points; {_percent(best.learned.strength)} of"
+        " the prediction is used, the part that fits held-out trajectories best."
+    )
+    if outside is not None:
+        yield (
+            f"Outside its data, in the {outside.where}: mean error {1e3 * outside.model:.3f} mm without and"
+            f" {1e3 * outside.corrected:.3f} mm with the residual of the other half, the least favourable of all halves"
+            "."
+        )
 
 
 def _percent(part: float) -> str:
@@ -104,9 +128,10 @@ def _percent(part: float) -> str:
 
 def _direction_sentences(validation: Validation) -> Iterator[str]:
     """Report joints whose direction of arrival at a pose changes the mean error."""
-    for joint, apart in _direction_differences(by_direction(validation)):
-        if apart > MIN_DIRECTION_DIFFERENCE * ErrorStatistics.of(validation.errors[-1]).median:
-            yield f"{joint}: between rising and falling the mean error differs by {1e3 * apart:.2f} mm" + (
+    median = ErrorStatistics.of(validation.errors[-1]).median
+    for joint, apart, ratio in _direction_differences(by_direction(validation)):
+        if apart > max(MIN_DIRECTION_DIFFERENCE, CHANCE * ratio) * median:
+            yield f"{joint}: the mean error differs by {1e3 * apart:.2f} mm between rising and falling" + (
                 "."
                 if validation.best.requested.lags or validation.best.requested.windups
                 else "; --hysteresis fits a lag."
@@ -125,7 +150,7 @@ def _pose_sentences(validation: Validation) -> Iterator[str]:
             f"Not fitted: {len(out)} of {len(best.fitted)} poses (lines {lines}), with errors of more than"
             f" {OUTLIER_RATIO:g}"
             " times the median, or with the model about to snap: do the tubes have another shape, or is the measurement"
-            " wrong? Their errors count."
+            " wrong? The table of errors includes them."
         )
     if best.fit is not None and all(held_out.extent != best.extent for held_out in validation.held_out):
         yield "Not tested: half of the poses are too few for a fit."
@@ -164,10 +189,14 @@ def _open_combinations(best: PoseFit) -> list[str]:
     return texts
 
 
-def _direction_differences(bins: Sequence[ErrorBin]) -> list[tuple[str, float]]:
-    """Return joints with the difference of mean errors between both directions [m]; omit joints with one direction."""
-    found: list[tuple[str, float]] = []
+def _direction_differences(bins: Sequence[ErrorBin]) -> list[tuple[str, float, float]]:
+    """Return joints with the difference of mean errors between both directions [m]; omit joints with one direction.
+
+    The third value is the standard deviation of such a difference for errors with the standard deviation 1.
+    """
+    found: list[tuple[str, float, float]] = []
     for first, second in pairwise(bins):
         if first.joint == second.joint:
-            found.append((first.joint, math.dist(first.along, second.along)))
+            ratio = math.sqrt(1.0 / max(first.spread.poses, 1) + 1.0 / max(second.spread.poses, 1))
+            found.append((first.joint, math.dist(first.along, second.along), ratio))
     return found

@@ -1,4 +1,4 @@
-"""Runs a procedure in the virtual lab, with the same control loop and drivers as at a bench."""
+"""Execution of a procedure in the virtual lab, with the same control loop and drivers as on a bench."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -26,13 +26,13 @@ from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.cameras import CalibratedView
-from station.experiments.job_pool import interrupts
+from station.experiments.runner import CONNECT_TIMEOUT_S
+from station.jobs.interrupts import interrupts
 from station.lab.config import LabConfig
+from station.lab.simulated_stages import lab_latency
 from station.lab.virtual_bench import virtual_bench
 
 Result = TypeVar("Result")
-#: Longest wait until the devices are connected [s].
-CONNECT_TIMEOUT_S = 60.0
 
 
 def run_headless(
@@ -59,7 +59,9 @@ def run_headless(
     """
     guided = GuidedProcedure(procedure)
     bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration, views)
-    loop = ControlLoop(DEFAULT_CONTROLLER.controller(subject.file), devices)
+    loop = ControlLoop(
+        DEFAULT_CONTROLLER.controller(subject.file, latency=lab_latency(lab.stages, subject.file)), devices
+    )
     loop.connect(0.0)
     rows: list[Array] = []
     tick, free_from, under_way, at = 0, 0.0, False, subject.start
@@ -96,6 +98,4 @@ def run_headless(
                 raise AbortedError(f"the devices are {loop.state.name} after {CONNECT_TIMEOUT_S:g} s")
             elif row is not None and under_way:
                 rows.append(row)
-    if guided.result is None:
-        raise AbortedError("the procedure ended without a result")
-    return guided.result
+    return guided.outcome()

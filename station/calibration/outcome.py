@@ -1,6 +1,5 @@
 """Writes all files of a calibration's result."""
 
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,11 +7,13 @@ from rich.table import Table
 from rich.text import Text
 
 from station.calibration import files, summary
+from station.calibration.commission import LatencyResult
 from station.calibration.files import REPORT_NUMBERS_FILE, VISITS_FILE
 from station.calibration.plan import PlanSubject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
 from station.calibration.summary import Result
-from station.config.strict import ConfigError
+from station.control.calibrated_robot import RESIDUAL_FILE
+from station.control.residual_file import write_residual
 from station.devices.aurora.tracker import TrackerMounting
 from station.lab.aurora_coil import GENERATOR_POSE
 
@@ -29,11 +30,11 @@ class Provenance(NamedTuple):
 
     @property
     def where(self) -> str:
-        """The bench on one line."""
+        """Title of the bench, and seed of its virtual lab, on one line."""
         return self.bench if self.seed is None else f"{self.bench}; seed {self.seed}"
 
     def __str__(self) -> str:
-        """One line for the files."""
+        """Origin of the numbers as one line, which the files contain."""
         return f"'calibrate {self.what}' of {self.when}, {self.where}; measurements in {VISITS_FILE}"
 
 
@@ -44,6 +45,7 @@ def write_all(
     provenance: Provenance,
     assumed: TrackerMounting = GENERATOR_POSE,
     known: Path | None = None,
+    assumed_latency: float = 0.0,
 ) -> dict[str, Any]:
     """Write the files that a run can use, the measurements, the numbers and the report; return the numbers.
 
@@ -54,6 +56,7 @@ def write_all(
         provenance: origin of the numbers, which is written to every file.
         assumed: pose of the tracker assumed during the measurements.
         known: folder of the calibration in use; missing files are copied from it, so that the new folder is complete.
+        assumed_latency: calibrated latency of the tracker in use during the measurements [s].
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -69,6 +72,8 @@ def write_all(
         )
     elif isinstance(result, ForceResult):
         written.append(files.write_sensors(folder, subject.robot, result.calibration, made))
+    elif isinstance(result, LatencyResult):
+        written.append(files.write_latency(folder, assumed_latency + result.latency.latency, made))
     elif isinstance(result, TubesResult):
         tubes = result.calibration
         written += [
@@ -77,8 +82,14 @@ def write_all(
             ),
             files.write_robot(folder, subject.file, tubes, made),
         ]
+        if result.learned is not None and result.poses is not None:
+            count = len(result.poses.joints)
+            written.append(write_residual(folder / RESIDUAL_FILE, subject.robot, result.learned, count, made))
         if result.sensors is not None:
             written.append(files.write_sensors(folder, subject.robot, result.sensors, made))
+    # Sensors and latency do not depend on the tubes, so the robot's file of an earlier calibration stays valid.
+    if written and (known is None or not isinstance(result, ForceResult | LatencyResult)):
+        written.append(files.write_described(folder, subject.described or subject.file))
     if written and known is not None:
         written += files.carry_over(known, folder)
     measurements = [*getattr(result, "measurements", ()), *getattr(result, "check_measurements", ())]
@@ -101,25 +112,19 @@ def write_all(
         ("measurements", f"{len(measurements)}, {provenance.robot_s:.0f} s of robot time"),
         ("files", ", ".join(path.name for path in written) or "none"),
     ]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / VISITS_FILE).write_text(json.dumps(summary.recorded(measurements), indent=1) + "\n", encoding="utf-8")
-        (folder / REPORT_NUMBERS_FILE).write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-        # Imported here because importing the figures' library takes a second, which would delay the station's start.
-        from station.calibration.report import write_report
+    # Imported here because importing the figures' library takes a second, which would delay the station's start.
+    from station.calibration.report import TITLES, page_parts
+    from station.report.document import write_results
 
-        write_report(folder, provenance.what, result, subject, facts, simulated=provenance.simulated)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+    parts = page_parts(provenance.what, result, subject, facts, simulated=provenance.simulated)
+    written_numbers = {VISITS_FILE: summary.recorded(measurements), REPORT_NUMBERS_FILE: numbers}
+    write_results(folder, f"{TITLES[provenance.what]}: calibration", parts, written_numbers)
     return numbers
 
 
 def result_table(result: Result, subject: PlanSubject, provenance: Provenance) -> Table:
     """Return the table of results for the terminal."""
-    table = Table(title=Text(f"calibrate {provenance.what}\n{provenance.where}"), title_style="")
-    table.add_column("")
-    for column in ("before", "found", "+- (95 %)"):
-        table.add_column(column, justify="right")
-    for row in summary.rows(result, subject):
-        table.add_row(*row)
-    return table
+    from station.report.document import terminal_table
+
+    title = Text(f"calibrate {provenance.what}\n{provenance.where}")
+    return terminal_table(summary.FOUND_HEAD, summary.rows(result, subject), title=title)

@@ -26,12 +26,15 @@ class PlanSubject:
     statics: Statics
     start: Array  #: (n,) rest position before and after the procedure [rad or m]
     senses: bool = True  #: whether the bench has force sensors
+    described: RobotFile | None = None  #: the robot's file, if `file` has the tubes of an earlier calibration
 
     @classmethod
-    def of(cls, file: RobotFile, start: Array, *, senses: bool = True) -> "PlanSubject":
+    def of(
+        cls, file: RobotFile, start: Array, *, senses: bool = True, described: RobotFile | None = None
+    ) -> "PlanSubject":
         """Return the subject that a robot file describes, with the model that the controller uses."""
         robot = file.robot()
-        return cls(file, robot, file.limits(), Statics(robot), start, senses)
+        return cls(file, robot, file.limits(), Statics(robot), start, senses, described)
 
     def tour(
         self, what: tuple[Quantity, ...], force: Array, count: int, known: Array | None, start: Array

@@ -4,7 +4,6 @@ An invalid file is refused; the message names the column or the line. An unusabl
 beyond its travel, no shape under the load) is left out and reported.
 """
 
-import csv
 import difflib
 import math
 from collections.abc import Iterator, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.calibration.external_poses import arrival_directions
 from core.calibration.measurements import Measurement
@@ -21,28 +21,19 @@ from core.model.solution import pure_force
 from core.model.statics import Statics
 from core.robot.limits import JointLimit
 from core.robot.robot import Array, Robot
+from station.calibration.columns import COLUMNS_HELP, ColumnChoice, PosesError, cell_number, pose_table
 from station.config.robots import RobotFile
-from station.config.strict import read_text
 
 TIP_COLUMNS = ("tip_x", "tip_y", "tip_z")
 FORCE_COLUMNS = ("force_x", "force_y", "force_z")
-TIME_COLUMN = "time"
-#: Columns of a file of poses, as help and error messages show them; the robot determines the names of the joints.
-COLUMNS_HELP = (
-    "the robot's joints by their names [rad or m], tip_x, tip_y, tip_z [m]; optional: force_x, force_y, force_z (on"
-    " the tip, in the robot's frame) [N], time [s] where the order matters"
-)
+TIME_COLUMN, TRAJECTORY_COLUMN = "time", "trajectory"
+#: Number of trajectories of a file without labels: parts of consecutive poses.
+DEFAULT_TRAJECTORIES = 5
 #: Share of a column's values beyond the joint's travel above which the column is refused as having a wrong unit.
 WRONG_UNIT_SHARE = 0.2
 #: Largest distance by which a tube may end behind its outer neighbour and still count as flush, because joint positions
 #: and lengths in files are rounded [m].
 FLUSH_TOLERANCE_M = 0.5e-3
-#: Texts of cells (in lower case) that mean a missing number.
-MISSING_CELLS = frozenset(("", "nan", "na", "n/a", "null", "none"))
-
-
-class PosesError(CtrError):
-    """An invalid file of poses; the message names the line or column, and what was expected."""
 
 
 class RejectedPose(NamedTuple):
@@ -59,6 +50,7 @@ class Poses(NamedTuple):
     lines: tuple[int, ...]  #: line number in the file of each pose
     measurements: tuple[Measurement, ...]  #: measurement of each pose; its `coil` is the measured point, in any frame
     forces: Array  #: (m, 3) force at the tip at each pose [N]
+    trajectories: NDArray[np.int64]  #: (m,) trajectory of each pose
     timed: bool
     left_out: tuple[RejectedPose, ...]
     moved_flush: float = 0.0  #: largest shift of a translation to make tubes end flush [m]
@@ -67,19 +59,20 @@ class Poses(NamedTuple):
 class _Row(NamedTuple):
     line: int
     time: float
+    trajectory: float
     joints: Array
     tip: Array
     force: Array
 
 
-def read_poses(path: Path, robot: RobotFile) -> Poses:
-    """Read the poses of a file.
+def read_poses(path: Path, robot: RobotFile, choices: Sequence[ColumnChoice] = ()) -> Poses:
+    """Read the poses of a file, from the chosen columns if there are choices.
 
     Raises:
-        PosesError: the file is missing or no table, a column is missing, unknown or in a wrong unit, a cell is text in
-            place of a number, or no pose is usable.
+        PosesError: the file is missing or not a table, a column is missing, unknown or in a wrong unit, a cell is not a
+            number, or no pose is usable.
     """
-    header, lines = _table(path)
+    header, lines = pose_table(path, choices)
     names = [joint.name for joint in robot.joints]
     _check_columns(path, header, names)
     left: list[RejectedPose] = []
@@ -102,7 +95,7 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     read = {row.line: row.joints for row in rows}
     moved = max(float(np.abs(row.joints - read[row.line]).max()) for row in useful)
     came, history = (arrival_directions(joints), paths(joints)) if timed else (None, None)
-    no_wrenches = np.zeros((len(robot.tubes), 6))
+    no_wrenches = np.zeros((len(robot.sensor_names), 6))
     measurements = [
         Measurement(
             row.time,
@@ -117,33 +110,27 @@ def read_poses(path: Path, robot: RobotFile) -> Poses:
     ]
     forces = np.array([row.force for row in useful])
     order = tuple(sorted(left, key=lambda each: each.line))
-    return Poses(path, tuple(row.line for row in useful), tuple(measurements), forces, timed, order, moved)
-
-
-def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header, and the other rows with their line numbers."""
-    reader = csv.reader(read_text(path, PosesError).splitlines(), skipinitialspace=True)
-    try:
-        rows = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
-    except csv.Error as error:
-        raise PosesError(f"{path}: line {reader.line_num}: not CSV: {error}") from None
-    rows = [(line, cells) for line, cells in rows if any(cells) and not cells[0].startswith("#")]
-    if not rows:
-        raise PosesError(f"{path}: empty; columns: {COLUMNS_HELP}")
-    return rows[0][1], rows[1:]
+    trajectories = np.array([row.trajectory for row in useful]).astype(np.int64)
+    if np.ptp(trajectories) == 0:
+        trajectories = np.arange(len(useful)) * DEFAULT_TRAJECTORIES // len(useful)
+    lines = tuple(row.line for row in useful)
+    return Poses(path, lines, tuple(measurements), forces, trajectories, timed, order, moved)
 
 
 def _check_columns(path: Path, header: Sequence[str], joints: Sequence[str]) -> None:
-    known = [*joints, *TIP_COLUMNS, *FORCE_COLUMNS, TIME_COLUMN]
+    known = [*joints, *TIP_COLUMNS, *FORCE_COLUMNS, TIME_COLUMN, TRAJECTORY_COLUMN]
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         raise PosesError(f"{path}: columns are separated by commas; the header is {header[0]!r}")
-    if all(_number(cell) is not None for cell in header):
+    if all(cell_number(cell) is not None for cell in header):
         raise PosesError(f"{path}: the first line contains numbers, but it must name the columns: {_columns(joints)}")
     for name in header:
         if name not in known:
             similar = difflib.get_close_matches(name, known, 1)
             hint = f", did you mean '{similar[0]}'?" if similar else ""
-            raise PosesError(f"{path}: unknown column '{name}'{hint}; rename or remove it; columns: {_columns(joints)}")
+            raise PosesError(
+                f"{path}: unknown column '{name}'{hint}; rename or remove it, or choose columns by --columns;"
+                f" columns: {_columns(joints)}"
+            )
         if header.count(name) > 1:
             raise PosesError(f"{path}: column '{name}' occurs {header.count(name)} times")
     some_force = any(name in header for name in FORCE_COLUMNS)
@@ -156,16 +143,6 @@ def _columns(joints: Sequence[str]) -> str:
     return COLUMNS_HELP.replace("the robot's joints by their names", ", ".join(joints))
 
 
-def _number(cell: str) -> float | None:
-    """Return a cell's number, NaN for a missing one; None for text."""
-    if cell.lower() in MISSING_CELLS:
-        return math.nan
-    try:
-        return float(cell)
-    except ValueError:
-        return None
-
-
 def _row(
     path: Path, line: int, header: Sequence[str], cells: Sequence[str], joints: Sequence[str], left: list[RejectedPose]
 ) -> _Row | None:
@@ -173,7 +150,7 @@ def _row(
         raise PosesError(f"{path}: line {line} has {len(cells)} columns, the header {len(header)}")
     values: dict[str, float] = {}
     for name, cell in zip(header, cells, strict=True):
-        value = _number(cell)
+        value = cell_number(cell)
         if value is None:
             raise PosesError(f"{path}: line {line}: {name} is {cell!r}, not a number")
         values[name] = value
@@ -184,7 +161,8 @@ def _row(
     def of(names: Sequence[str]) -> Array:
         return np.array([values.get(name, 0.0) for name in names])
 
-    return _Row(line, values.get(TIME_COLUMN, 0.0), of(joints), of(TIP_COLUMNS), of(FORCE_COLUMNS))
+    time, trajectory = values.get(TIME_COLUMN, 0.0), values.get(TRAJECTORY_COLUMN, 0.0)
+    return _Row(line, time, trajectory, of(joints), of(TIP_COLUMNS), of(FORCE_COLUMNS))
 
 
 def _check_units(path: Path, robot: RobotFile, rows: Sequence[_Row]) -> None:
@@ -195,10 +173,15 @@ def _check_units(path: Path, robot: RobotFile, rows: Sequence[_Row]) -> None:
         if beyond.mean() > WRONG_UNIT_SHARE:
             farthest = float(column[beyond][np.argmax(np.abs(column[beyond]))])
             unit, other = ("radians", "degrees") if limit.unit == "rad" else ("metres", "millimetres")
+            example = f"{limit.name}={limit.name}[{'deg' if limit.unit == 'rad' else 'mm'}]"
+            if limit.unit == "m" and (column > 0.0).mean() > WRONG_UNIT_SHARE:
+                other += " or positive insertions"
+                example += f" or {limit.name}=-{limit.name}"
             raise PosesError(
                 f"{path}: {limit.name} is {farthest:g} {limit.unit}, outside {limit.lower:.4g} ... {limit.upper:.4g}"
                 f" {limit.unit} (its travel), and so are {int(beyond.sum())} of {len(column)} rows: are these {other}?"
-                f" Give {unit}; if they are {unit}, widen lower and upper in the robot's file"
+                f" State it by --columns, for example {example}, with all other"
+                f" columns; if they are {unit}, widen lower and upper in the robot's file"
             )
     tips = np.array([row.tip for row in rows])
     length = max(tube.length for tube in robot.robot().tubes)
@@ -206,7 +189,7 @@ def _check_units(path: Path, robot: RobotFile, rows: Sequence[_Row]) -> None:
     if apart > 4.0 * length:
         raise PosesError(
             f"{path}: the tips are {apart:.4g} m apart, and '{robot.name}' is {length:.4g} m long: are these"
-            " millimetres? Give metres"
+            " millimetres? State it by --columns, for example tip_x=tip_x[mm], with all other columns"
         )
 
 
@@ -231,8 +214,11 @@ def _flush(row: _Row, robot: Robot) -> _Row:
     for i in range(len(robot.tubes) - 2, -1, -1):
         _, beta = robot.tube_poses(joints)
         behind = beta[i + 1] + robot.tubes[i + 1].length - beta[i] - robot.tubes[i].length
-        if i in sliding and 0.0 < behind <= FLUSH_TOLERANCE_M:
-            joints[sliding[i]] += behind
+        if 0.0 < behind <= FLUSH_TOLERANCE_M:
+            if i in sliding:
+                joints[sliding[i]] += behind
+            elif i + 1 in sliding:
+                joints[sliding[i + 1]] -= behind
     return row._replace(joints=joints)
 
 
@@ -246,7 +232,7 @@ def _has_shape(row: _Row, model: Statics, left: list[RejectedPose]) -> bool:
 
 
 def _first(left: Sequence[RejectedPose]) -> str:
-    """Return line and reason of the first rejected pose in brackets."""
+    """Return line and reason of the first rejected pose in brackets; empty if none was rejected."""
     return f" (line {left[0].line}: {left[0].reason})" if left else ""
 
 

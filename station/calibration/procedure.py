@@ -92,6 +92,12 @@ class GuidedProcedure(Generic[Result]):
         """Pass the answer to the current step; raises the procedure's errors (`Unobservable` and others)."""
         self._advance(answer, first=False)
 
+    def outcome(self) -> Result:
+        """Return the result at the end of the procedure; raises AbortedError if there is none."""
+        if self.result is None:
+            raise AbortedError("the procedure ended without a result")
+        return self.result
+
     def abort(self) -> None:
         """Abort the procedure and discard its measurements."""
         self._procedure.close()
@@ -140,8 +146,9 @@ def task(step: GoToPose | SwingMotion, controller: Controller) -> MotionTask:
     """
     controller = replace(controller, watches=True)
     if isinstance(step, GoToPose):
-        return MotionTask(controller, rest_orders(len(step.joints)), 0.0, step.joints, VISITING_MARGINS)
-    return MotionTask(controller, SwayMotion(step.amplitudes, step.period), step.duration, margins=VISITING_MARGINS)
+        return MotionTask(controller, rest_orders(len(step.joints)), 0.0, step.joints, VISITING_MARGINS, loaded=True)
+    sway = SwayMotion(step.amplitudes, step.period)
+    return MotionTask(controller, sway, step.duration, margins=VISITING_MARGINS, loaded=True)
 
 
 def measurement_of(

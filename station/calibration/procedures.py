@@ -11,12 +11,16 @@ from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames, predict
 from core.calibration.quantities import quantities
 from core.calibration.registration import Registration, register
+from core.calibration.residual import PoseErrors, direction_states, fit_residual, paths
 from core.calibration.rigid_transform import CoilAxis, coil_axis
 from core.calibration.tubes import HeldOutErrors, TubeCalibration, calibrate_tubes, held_out_errors
+from core.control.tip_residual import TipResidual
 from core.model.batch import Solutions, solve_many
+from core.model.statics import Statics
 from core.robot.robot import Array, Robot
 from core.robot.strength import own_weight
 from station.calibration.plan import MEASUREMENT_NOISE, PlanSubject
+from station.calibration.poses import DEFAULT_TRAJECTORIES
 from station.calibration.procedure import GoToPose, OperatorPrompt, Procedure
 from station.config import loads
 
@@ -84,6 +88,8 @@ class TubesResult(NamedTuple):
     measurements: tuple[Measurement, ...]
     check_measurements: tuple[Measurement, ...]
     axis: CoilAxis | None = None  #: axis of the coil; None: the tracker does not report it
+    poses: PoseErrors | None = None  #: remaining errors of the procedure `residual`
+    learned: TipResidual | None = None  #: learned residual; None: not requested, or it predicts nothing
 
 
 def tracker(subject: PlanSubject, effort: Effort) -> Procedure[TrackerResult]:
@@ -144,7 +150,7 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
         sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, UNCALIBRATED_TIP_STD_M)
         forces = _forces(subject, sensors, measurements)
         found = calibrate_tubes(robot, measurements, forces, MEASUREMENT_NOISE, sags=sags)
-        fitted = replace(subject, robot=found.robot)
+        fitted = replace(subject, robot=found.robot, statics=Statics(found.robot))
         tips = _tips(fitted, found.frames, measurements, forces)
         sensors = calibrate_sensors(robot, measurements, tips, MEASUREMENT_NOISE, CALIBRATED_TIP_STD_M)
     forces = _forces(subject, sensors, measurements)
@@ -169,6 +175,35 @@ def tubes(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
     checks = () if sensors is None else _weight_checks(subject, sensors, measurements, effort)
     axis = _coil_axis(found.robot, found.frames, visited, forces)
     return TubesResult(found, sensors, checks, all_, under_load, believed, tuple(visited), tuple(visited_check), axis)
+
+
+def residual(subject: PlanSubject, effort: Effort) -> Procedure[TubesResult]:
+    """Find the same as `tubes`, from more poses, and learn the error that remains.
+
+    Raises:
+        UnobservableCombination: the poses inside the limits do not determine the parameters.
+        Unreachable: no pose is inside the limits.
+    """
+    found = yield from tubes(subject, replace(effort, check=2 * effort.loaded))
+    scattered = list[Measurement]()
+    for joints in subject.scattered(np.zeros(3), 3 * effort.unloaded, found.measurements[-1].joints):
+        measurement = yield GoToPose(joints, 0.0, 1.0)
+        scattered += [measurement] if isinstance(measurement, Measurement) else []
+    robot, frames = found.calibration.robot, found.calibration.frames
+    fitted = replace(subject, robot=robot, statics=Statics(robot))
+    # Sort them in the order of the visits, because the direction states depend on the previous poses.
+    measurements = sorted((*found.measurements, *found.check_measurements, *scattered), key=lambda each: each.time)
+    # The controller's model does not contain the sag by the tubes' weight, so the residual contains it.
+    forces = _forces(fitted, found.sensors, measurements)
+    solved, joints = _assumed_model(fitted, measurements, forces), np.array([each.joints for each in measurements])
+    coils = frames.registration.apply(np.array([each.coil for each in measurements]))
+    errors = coils - solved.rotation @ frames.coil - solved.tip
+    blocks = np.arange(len(joints)) * DEFAULT_TRAJECTORIES // len(joints)
+    directions = direction_states(fitted.robot, paths(joints))
+    poses = PoseErrors(fitted.robot, joints, directions, forces, errors, blocks)
+    return found._replace(
+        check_measurements=(*found.check_measurements, *scattered), poses=poses, learned=fit_residual(poses)
+    )
 
 
 def _visits(subject: PlanSubject, effort: Effort) -> Procedure[tuple[list[Measurement], list[Measurement]]]:

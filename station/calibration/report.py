@@ -1,15 +1,15 @@
 """Writes the report of a calibration as one self-contained HTML file."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from core.calibration.fit import Fit
+from core.calibration.residual import PoseErrors, predicted_by_others
 from core.robot.robot import Array
 from station.calibration.plan import PlanSubject
 from station.calibration.procedures import ForceResult, TrackerResult, TubesResult
-from station.calibration.summary import Result, findings, rows
+from station.calibration.summary import FOUND_HEAD, Result, findings, rows
 from station.report import document, style
 from station.report.document import ReportFigure
 
@@ -19,32 +19,17 @@ TITLES = {
     "tracker": "Registration of the tracker",
     "force": "Base force sensors",
     "tubes": "Tubes, frames and sensors together",
+    "residual": "Tubes, frames and sensors, and the residual of the model",
 }
 
 
-def write_report(
-    folder: Path, what: str, result: Result, subject: PlanSubject, facts: Sequence[tuple[str, str]], *, simulated: bool
-) -> Path:
-    """Write report.html and return its path.
-
-    Args:
-        folder: existing folder for the report.
-        what: name of the procedure.
-        result: result of the procedure.
-        subject: the robot with the parameters assumed before the calibration.
-        facts: names and values for the top of the page.
-        simulated: whether robot and devices were those of a virtual lab; the page and every figure state it.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    parts = _parts(what, result, subject, facts, simulated)
-    return document.write_page(folder, f"{TITLES[what]}: calibration", parts)
-
-
-def _parts(
-    what: str, result: Result, subject: PlanSubject, facts: Sequence[tuple[str, str]], simulated: bool
+def page_parts(
+    what: str, result: Result, subject: PlanSubject, facts: Sequence[tuple[str, str]], *, simulated: bool
 ) -> Iterator[str]:
+    """Yield the HTML elements of the page of the procedure `what`; `facts` are names and values for its top.
+
+    The page and every figure state whether robot and devices were `simulated`.
+    """
     note = "Everything here comes from simulated devices of the virtual lab." if simulated else ""
     yield from document.page_head(TITLES[what], note=note)
     yield document.table(("", ""), facts, texts=2)
@@ -52,10 +37,7 @@ def _parts(
     for sentence in findings(result):
         yield document.paragraph(sentence)
     yield document.heading("Results")
-    listed = [
-        (row.name, row.before, row.found, f"+- {row.interval}" if row.interval else "") for row in rows(result, subject)
-    ]
-    yield document.table(("", "before", "found", "95 %"), listed)
+    yield document.table(FOUND_HEAD, rows(result, subject))
     for figure in _figures(result):
         yield document.picture(figure, "simulated bench" if simulated else f"bench of '{subject.robot.name}'")
 
@@ -65,6 +47,8 @@ def _figures(result: Result) -> Iterator[ReportFigure]:
         yield _held_out(result)
         yield _errors(result.calibration.errors, "after the calibration")
         yield intervals(result.calibration.fit, len(result.calibration.what))
+        if result.poses is not None:
+            yield explained(result.poses)
     elif isinstance(result, TrackerResult):
         yield _errors(result.registration.errors, "after the registration")
     elif isinstance(result, ForceResult):
@@ -105,6 +89,21 @@ def _errors(errors: Array, when: str) -> ReportFigure:
     rms = 1e3 * float(np.sqrt(np.mean(errors**2)))
     text = f"{len(errors)} measurements, {rms:.3g} mm RMS, {1e3 * errors.max():.3g} mm at most."
     return ReportFigure("errors", f"Residuals {when}", text, text, figure)
+
+
+def explained(poses: PoseErrors) -> ReportFigure:
+    """Return the figure of what a residual explains: each error plotted over its prediction from other trajectories."""
+    poses = poses.usable
+    guess = predicted_by_others(poses, poses.folds())
+    figure = style.blank(2.6)
+    for number, (axes, name) in enumerate(zip(figure.subplots(1, 3), style.AXES, strict=True)):
+        axes.plot(1e3 * guess[:, number], 1e3 * poses.errors[:, number], ".", color=style.BLUE, markersize=3.0)
+        axes.axline((0.0, 0.0), slope=1.0, color=style.GREY, linewidth=0.7)
+        axes.set_xlabel(f"{name} predicted [mm]")
+    figure.axes[0].set_ylabel("error of the model [mm]")
+    before, after = (1e3 * float(np.linalg.norm(each, axis=1).mean()) for each in (poses.errors, poses.errors - guess))
+    text = f"Mean error {before:.3g} mm without and {after:.3g} mm with the prediction from other trajectories."
+    return ReportFigure("explained", "What the residual explains", text, text, figure)
 
 
 def intervals(fit: Fit, count: int) -> ReportFigure:

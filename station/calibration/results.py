@@ -1,7 +1,6 @@
-"""Lists and reads the stored calibrations of a folder, and gives instructions for using each of them."""
+"""Stored calibrations of a folder, with instructions for using each of them."""
 
 import json
-import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +12,8 @@ from station.calibration.catalogue import PROCEDURES
 from station.calibration.files import REPORT_FILE, REPORT_NUMBERS_FILE, VISITS_FILE
 from station.config.robots import RobotFile
 from station.config.strict import Strict
-from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SENSORS_FILE
+from station.control.calibrated_robot import LATENCY_FILE, REGISTRATION_FILE, RESIDUAL_FILE, ROBOT_FILE, SENSORS_FILE
+from station.regular_file import is_regular, read_in
 
 
 class CalibrationNumbers(BaseModel):
@@ -29,7 +29,6 @@ class CalibrationNumbers(BaseModel):
     found: list[dict[str, str]]
     visits: int
     robot_s: float
-    latency_s: float | None = None
     signs: dict[str, float] = {}
 
 
@@ -43,8 +42,6 @@ class CalibrationUse(Strict):
     text: str
     line: str = ""
     """line for the top of the station file; empty if none is needed"""
-    options: str = ""
-    """command-line options of ctr-station serve, for a station without a station file"""
 
 
 class StoredCalibration(NamedTuple):
@@ -100,15 +97,24 @@ class Results:
         if not self._folder.is_dir():
             return
         for path in self._folder.iterdir():
-            if not path.is_symlink() and (path / REPORT_NUMBERS_FILE).is_file():
+            if not path.is_symlink() and is_regular(path / REPORT_NUMBERS_FILE):
                 yield path
 
 
 def _files(folder: Path) -> tuple[str, ...]:
     return tuple(
         name
-        for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE, REPORT_FILE, REPORT_NUMBERS_FILE, VISITS_FILE)
-        if (folder / name).is_file()
+        for name in (
+            REGISTRATION_FILE,
+            SENSORS_FILE,
+            ROBOT_FILE,
+            RESIDUAL_FILE,
+            LATENCY_FILE,
+            REPORT_FILE,
+            REPORT_NUMBERS_FILE,
+            VISITS_FILE,
+        )
+        if is_regular(folder / name)
     )
 
 
@@ -116,7 +122,7 @@ def _read(folder: Path) -> StoredCalibration | None:
     try:
         folder.name.encode()  # a name that is not UTF-8 cannot be requested
         # pydantic's JSON parser raises ValueError for half a surrogate pair and for very deeply nested brackets.
-        numbers = CalibrationNumbers.model_validate_json((folder / REPORT_NUMBERS_FILE).read_bytes())
+        numbers = CalibrationNumbers.model_validate_json(read_in(folder, REPORT_NUMBERS_FILE))
     except (OSError, ValueError):
         return None
     if numbers.procedure not in PROCEDURES:
@@ -125,32 +131,27 @@ def _read(folder: Path) -> StoredCalibration | None:
 
 
 def _use(folder: Path, numbers: CalibrationNumbers) -> CalibrationUse:
-    if any((folder / name).is_file() for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE)):
-        text = (
-            "To use this calibration, put this line at the top of the station's file, or start the station with this"
-            " option."
-        )
-        return CalibrationUse(
-            text=text,
-            line=f"calibration = {json.dumps(str(folder))}",
-            options=f"--calibration {shlex.quote(str(folder))}",
-        )
-    if (late := numbers.latency_s) is not None:
-        text = f"Add {1e3 * late:.1f} ms to `latency` under [devices.tracker] of the station's file."
-        return CalibrationUse(text=text)
+    if any(is_regular(folder / name) for name in (REGISTRATION_FILE, SENSORS_FILE, ROBOT_FILE, LATENCY_FILE)):
+        text = "To use this calibration elsewhere, put this line at the top of the station's file."
+        return CalibrationUse(text=text, line=f"calibration = {json.dumps(str(folder))}")
     wrong = [name for name, sign in numbers.signs.items() if sign < 0.0]
     if wrong:
         turned = ", ".join(f"joints.{name}.backwards" for name in wrong)
         return CalibrationUse(
             text=f"Invert {turned} under [devices.stages] of the station's file, then repeat this procedure."
         )
+    if unseen := [name for name, sign in numbers.signs.items() if sign == 0.0]:
+        return CalibrationUse(
+            text=f"The tip does not show the direction of {', '.join(unseen)}: check it by eye. The other axes move in"
+            " the described directions."
+        )
     return CalibrationUse(
-        text="Nothing has to be changed: the axes run as described. 'tubes' finds the zero angles more accurately."
+        text="Nothing has to be changed: the axes move as described. 'tubes' finds the zero angles more accurately."
     )
 
 
 class CheckItem(Strict):
-    """One line of the checklist."""
+    """One task of the checklist for a bench whose tubes or stages have changed."""
 
     procedure: str
     """name of the procedure to run; empty: a task for the operator"""

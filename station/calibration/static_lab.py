@@ -49,17 +49,17 @@ class StaticLab:
         description = self.hidden.robot(subject.robot)
         self._plant = true_plant(description, config.plant, plant, self.hidden.joints(subject.start))
         self.true_robot = self._plant.robot
-        settings, q = config.sensors, len(subject.robot.tubes)
+        settings, s = config.sensors, len(subject.robot.sensor_names)
         self._offset = np.repeat([settings.force_offset, settings.moment_offset], 3) * sensors.uniform(
-            -1.0, 1.0, (q, 6)
+            -1.0, 1.0, (s, 6)
         )
         # `SimulatedNetft` creates three random streams per force sensor: lost datagrams, gain errors, signs of the
         # moments' drift. This lab has no datagrams, so it uses only the other two.
-        boxes = [box.spawn(3)[1:] for box in sensors.spawn(q)]
+        boxes = [box.spawn(3)[1:] for box in sensors.spawn(s)]
         self._skew = np.array([gain_errors(settings.gain, BoxSettings(), crossed) for crossed, _ in boxes])
         self._wobble = sensors.spawn(1)[0]  # separate random stream, so that the other random numbers do not change
-        self._drift = np.zeros((q, 6))
-        self._drift[:, :3] = settings.drift * sensors.choice([-1.0, 1.0], (q, 3))
+        self._drift = np.zeros((s, 6))
+        self._drift[:, :3] = settings.drift * sensors.choice([-1.0, 1.0], (s, 3))
         self._drift[:, 3:] = settings.moment_drift * np.array([signs.choice([-1.0, 1.0], 3) for _, signs in boxes])
         self.generator = self.hidden.mount(GENERATOR_POSE)  #: true pose of the tracker
         bent = config.tracker.distortion
@@ -116,7 +116,7 @@ class StaticLab:
         The noise of a sample exceeds the quantisation step, so quantisation averages out.
         """
         settings = self._config.sensors
-        true = self.hidden.felt(wrenches, self.hidden.joints(self._position))
+        true = self.hidden.felt(wrenches, self.hidden.joints(self._position), self._plant.tubes_at)
         true = true + np.einsum("ijk,ik->ij", self._skew, true) + self._offset + self.time * self._drift
         count = np.array([settings.force_count, settings.moment_count])
         noise = np.sqrt(np.array([settings.force_noise, settings.moment_noise]) ** 2 + count**2 / 12.0)
@@ -140,9 +140,7 @@ def run_static(
             lab.time += HANDLING_TIME_S
             guided.answer(None)
         elif isinstance(step, SwingMotion):
-            raise AbortedError("this lab simulates rest only: a swing needs the lab with wire-level devices")
+            raise AbortedError("this lab simulates rest only: moving joints need the lab with wire-level devices")
         else:
             guided.answer(lab.measure(step.joints, weight))
-    if guided.result is None:
-        raise AbortedError("the procedure ended without a result")
-    return guided.result
+    return guided.outcome()

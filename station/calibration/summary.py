@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.calibration.fit import Fit
+from core.calibration.fit import MAX_OPEN_SHARE, NORMAL_QUANTILE_95, Fit
 from core.calibration.force import SensorCalibration, WeightCheck
 from core.calibration.measurements import Measurement
 from core.calibration.prediction import Frames
+from core.calibration.quantities import QUANTITY_PRIORS
 from core.calibration.rigid_transform import CoilAxis, vector_from_rotation
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
@@ -27,6 +28,10 @@ MODEL_MISMATCH = (
 )
 
 
+#: Column heads of the table of results.
+FOUND_HEAD = ("", "before", "found", "+- (95 %)")
+
+
 class Row(NamedTuple):
     """One result in human-readable form."""
 
@@ -41,7 +46,8 @@ def rows(result: Result, subject: PlanSubject) -> list[Row]:
     if isinstance(result, AxesResult):
         names = [joint.name for joint in subject.robot.joints]
         found = [
-            Row(f"{n} runs", "+", "+" if s > 0 else "-", "") for n, s in zip(names, result.signs.signs, strict=True)
+            Row(f"{n} runs", "+", "?" if s == 0 else "+" if s > 0 else "-", "")
+            for n, s in zip(names, result.signs.signs, strict=True)
         ]
         for quantity, angle, half in result.zeros:
             name = f"{subject.robot.tubes[quantity.tube].name} zero angle"
@@ -67,9 +73,20 @@ def findings(result: Result) -> list[str]:
     """Return the findings of a result as sentences."""
     if isinstance(result, AxesResult):
         first, second = 1e3 * result.signs.rms, 1e3 * result.signs.next_rms
-        sentences = [f"The signs fit to {first:.2f} mm RMS; the next best combination to {second:.2f} mm."]
+        sentences = [f"The signs fit with {first:.2f} mm RMS, the next best combination with {second:.2f} mm."]
+        if (result.signs.signs == 0.0).any():
+            sentences.append(
+                "The tip does not show the directions of the axes marked ?, such as the rotation of a nearly straight"
+                " tube: check them by eye."
+            )
+        open_ = NORMAL_QUANTILE_95 * MAX_OPEN_SHARE * QUANTITY_PRIORS["zero_angle"][1]
+        if any(half > open_ for _, _, half in result.zeros):
+            sentences.append(
+                f"The moves do not determine zero angles whose interval exceeds {math.degrees(open_):.0f} deg, such as"
+                " that of a nearly straight tube."
+            )
         if (result.signs.signs < 0.0).any():
-            sentences.append("Invert the axes marked - in the bench's file, then repeat this for the zero angles.")
+            sentences.append("Invert the axes marked - in the station's file, then repeat this for the zero angles.")
         return sentences
     if isinstance(result, LatencyResult):
         return [
@@ -153,7 +170,7 @@ def recorded(measurements: Sequence[Measurement]) -> list[dict[str, Any]]:
 
 
 def tube_rows(calibration: TubeCalibration, described: Robot) -> list[Row]:
-    """Return the rows of the tubes' parameters and the joints' plays."""
+    """Return the rows of the tubes' parameters and of each joint's play."""
     found: list[Row] = []
     fit = calibration.fit
     for quantity in calibration.what:
@@ -229,10 +246,11 @@ def _axis_sentence(axis: CoilAxis | None) -> list[str]:
 
 def _sensors(found: SensorCalibration, robot: Robot) -> list[Row]:
     listed: list[Row] = []
-    for i, tube in enumerate(robot.tubes):
+    for i, name in enumerate(robot.sensor_names):
         for axis, angle in zip("xyz", vector_from_rotation(found.sensors.mounting[i]), strict=True):
-            half = math.degrees(found.fit.interval(f"{tube.name} mounting {axis}"))
-            listed.append(Row(f"{tube.name} sensor about {axis}", "0", f"{math.degrees(angle):.2f}", f"{half:.2g} deg"))
+            half = math.degrees(found.fit.interval(f"{name} mounting {axis}"))
+            listed.append(Row(f"{name} sensor about {axis}", "0", f"{math.degrees(angle):.2f}", f"{half:.2g} deg"))
+    for i, tube in enumerate(robot.tubes):
         half = 1e3 * found.fit.interval(f"{tube.name} weight")
         listed.append(Row(f"{tube.name} sensor carries", "0", f"{1e3 * found.sensors.weight[i]:.1f}", f"{half:.2g} mN"))
     return listed

@@ -18,9 +18,11 @@ from station.calibration import files
 from station.calibration.files import REPORT_NUMBERS_FILE
 from station.calibration.findings import findings, undetermined_parameters
 from station.calibration.poses import Poses, recorded
+from station.calibration.summary import FOUND_HEAD
 from station.calibration.validation import ErrorBin, Validation, by_direction, by_joint, calibration, found_rows
-from station.calibration.validation_report import ERROR_HEAD, FOUND_HEAD, error_rows, page_parts
-from station.config.strict import ConfigError
+from station.calibration.validation_report import ERROR_HEAD, error_rows, page_parts
+from station.control.calibrated_robot import RESIDUAL_FILE
+from station.control.residual_file import write_residual
 from station.devices.aurora.tracker import TrackerMounting
 from station.report import document
 
@@ -50,16 +52,21 @@ def write_calibration(folder: Path, validation: Validation, when: str) -> dict[s
         UnobservableCombination: the tubes could not be fitted.
         ConfigError: the folder cannot be written to.
     """
-    found = calibration(validation)
-    made = f"'calibrate tubes --from {validation.poses.path.name}' of {when}; errors in {ERRORS_FILE}"
+    found, learned = calibration(validation), validation.best.learned
+    what = "tubes" if learned is None else "residual"
+    made = f"'calibrate {what} --from {validation.poses.path.name}' of {when}; errors in {ERRORS_FILE}"
     written = [
         files.write_registration(
             folder, validation.robot, found.frames, found.fit, found.errors, IDENTITY_REGISTRATION, made
         ),
         files.write_robot(folder, validation.file, found, made),
+        files.write_described(folder, validation.file),
     ]  # fmt: skip
+    if learned is not None:
+        count = len(validation.poses.measurements)
+        written.append(write_residual(folder / RESIDUAL_FILE, validation.robot, learned, count, made))
     kept = {
-        "procedure": "tubes", "made": when, "lab": f"poses of {validation.poses.path.name}", "simulated": False,
+        "procedure": what, "made": when, "lab": f"poses of {validation.poses.path.name}", "simulated": False,
         "visits": len(validation.poses.measurements), "robot_s": 0.0,
         "found": [r._asdict() for r in found_rows(validation)],
     }  # fmt: skip
@@ -80,11 +87,7 @@ def _written(
     ]
     errors = recorded(validation.poses, validation.errors[-1], validation.robot.joint_names)
     parts = page_parts(title, validation, facts)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        document.write_results(folder, title, parts, {REPORT_NUMBERS_FILE: values}, {ERRORS_FILE: errors})
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
+    document.write_results(folder, title, parts, {REPORT_NUMBERS_FILE: values}, {ERRORS_FILE: errors})
     return values
 
 
@@ -131,7 +134,7 @@ def _numbers(validation: Validation) -> dict[str, Any]:
         },
         "unseen_mm": {
             held_out.extent: {
-                "how": "every second pose fitted, the others tested" if validation.test is None else "the other file",
+                "how": "; ".join(validation.parts) if validation.test is None else "the other file",
                 "fitted": _mm(held_out.fitted),
                 "tested": _mm(held_out.tested),
             }
@@ -146,6 +149,7 @@ def _numbers(validation: Validation) -> dict[str, Any]:
             "position_standard_deviation": best.position_errors.tolist(),
         },
         "residual": _residual(validation),
+        "learned": _learned(validation),
         "parameters": _parameters(best),
         "cannot_tell": undetermined_parameters(best),
         "not_asked_for": list(best.requested.omitted),
@@ -179,6 +183,18 @@ def _residual(validation: Validation) -> dict[str, Any]:
     return {"kind": left.kind} | {
         key: value if math.isfinite(value) else None for key, value in (parts | lengths).items()
     }
+
+
+def _learned(validation: Validation) -> dict[str, Any] | None:
+    """Return size and strength of the learned residual, and its errors outside its data; None without a residual."""
+    learned, outside = validation.best.learned, validation.extrapolation
+    if learned is None:
+        return None
+    return {"support_points": len(learned.support), "strength": learned.strength} | (
+        {} if outside is None else {
+            "left_out": outside.where, "model_mm": 1e3 * outside.model, "corrected_mm": 1e3 * outside.corrected,
+        }
+    )  # fmt: skip
 
 
 def _mm(spread: ErrorStatistics) -> dict[str, float | int | None]:

@@ -9,7 +9,8 @@ from core.calibration.external_poses import ErrorStatistics
 from core.robot.robot import Array
 from station.calibration.findings import findings, undetermined_parameters
 from station.calibration.poses import RejectedPose
-from station.calibration.report import intervals
+from station.calibration.report import explained, intervals
+from station.calibration.summary import FOUND_HEAD
 from station.calibration.validation import (
     EXTENT_LABELS,
     ErrorBin,
@@ -25,9 +26,8 @@ from station.report.document import ReportFigure
 ERROR_SCALE = 10.0
 #: Largest number of left-out rows that the report lists.
 MAX_LISTED_ROWS = 200
-#: Heads of the tables of errors (after the first column) and of fitted parameters.
+#: Heads of the table of errors, after the first column.
 ERROR_HEAD = ("at", "poses", "mean", "median", "95 %", "largest")
-FOUND_HEAD = ("", "before", "found", "+- (95 %)")
 MOTION_DIRECTIONS = ((1.0, "rising", 0), (-1.0, "falling", 2), (0.0, "not moved before", 3))
 
 
@@ -38,9 +38,10 @@ def page_parts(title: str, validation: Validation, facts: Sequence[tuple[str, st
     yield document.table(("", ""), facts, texts=2)
     yield document.heading("Errors")
     yield document.paragraph(
-        "Distance of the measured point from the model's in mm. Frames: a rigid motion and a constant offset of"
+        "Distance of the measured point from the model's point [mm]. Frames: a rigid motion and a constant offset of"
         " the point in the frame of the tip. Tubes: the same and the uncertain parameters of the tubes. Friction: the"
-        " same and the lag of each tube's rotation, which depends on the order of the motions."
+        " same and the lag of each tube's rotation, which depends on the order of the motions. Residual: tubes, and a"
+        " learned function of joints, last motions and load."
     )
     yield document.table(("", *ERROR_HEAD), error_rows(validation), texts=2)
     yield document.heading("Findings")
@@ -78,8 +79,8 @@ def error_rows(validation: Validation) -> list[tuple[str, ...]]:
         found.append((EXTENT_LABELS[each.extent], "these poses", *_cells(ErrorStatistics.of(errors))))
         for held_out in validation.held_out:
             if held_out.extent == each.extent and validation.test is None:
-                found.append((EXTENT_LABELS[each.extent], "every second: fitted", *_cells(held_out.fitted)))
-                found.append((EXTENT_LABELS[each.extent], "the others: tested", *_cells(held_out.tested)))
+                found.append((EXTENT_LABELS[each.extent], validation.parts[0], *_cells(held_out.fitted)))
+                found.append((EXTENT_LABELS[each.extent], validation.parts[1], *_cells(held_out.tested)))
             elif held_out.extent == each.extent and validation.test is not None:
                 found.append((EXTENT_LABELS[each.extent], validation.test.path.name, *_cells(held_out.tested)))
     return found
@@ -105,8 +106,10 @@ def _figures(validation: Validation) -> Iterator[ReportFigure]:
         yield _over_joints(validation, moving)
     yield _over_poses(validation)
     yield _positions(validation)
+    if validation.known is not None and validation.best.learned is not None:
+        yield explained(validation.known)
     best = validation.best
-    if best.extent in ("tubes", "friction") and best.fit is not None and best.requested.quantities:
+    if best.extent in ("tubes", "friction", "residual") and best.fit is not None and best.requested.quantities:
         yield intervals(best.fit, len(best.requested.quantities))
 
 

@@ -41,7 +41,9 @@ class CalibrationJob(NamedTuple):
     when: str  #: date and time, ISO 8601
     folder: Path  #: folder for the results, which is created with the first file
     known: Path | None  #: folder of the calibration in use; missing files are copied from it
+    latency: float  #: latency of the tracker in that calibration [s]
     senses: bool = True  #: whether the bench has force sensors
+    described: RobotFile | None = None  #: the robot's file, if `robot` has the tubes of an earlier calibration
 
 
 class JobFinished(NamedTuple):
@@ -58,7 +60,7 @@ WorkerMessage = Step | JobFinished | JobFailed
 
 
 def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
-    """Main function of the process: it sends steps through `pipe` and receives an answer to each."""
+    """Run the worker process: send steps through `pipe` and receive an answer to each."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when the worker ends
     set_process_name("ctr-calibrate")
     if hasattr(os, "nice"):
@@ -71,7 +73,7 @@ def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
 
 
 def _run_procedure(job: CalibrationJob, pipe: Connection) -> None:
-    subject = PlanSubject.of(job.robot, job.start, senses=job.senses)
+    subject = PlanSubject.of(job.robot, job.start, senses=job.senses, described=job.described)
     guided, time = GuidedProcedure(start_procedure(job.what, subject, job.effort, job.weights)), 0.0
     while guided.step is not None:
         pipe.send(guided.step)
@@ -79,10 +81,9 @@ def _run_procedure(job: CalibrationJob, pipe: Connection) -> None:
         if answer is not None:
             time = float(answer.times[-1]) if isinstance(answer, SwingRecord) else answer.time
         guided.answer(answer)
-    if guided.result is None:
-        raise AbortedError("the procedure ended without a result")
+    result = guided.outcome()
     provenance = Provenance(job.what, job.when, job.bench, job.seed, time, job.simulated)
-    write_all(job.folder, guided.result, subject, provenance, job.assumed, job.known)
+    write_all(job.folder, result, subject, provenance, job.assumed, job.known, job.latency)
     pipe.send(JobFinished())
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from core.robot.robot import Array
 from station.lab.rendering import Picture
 
-#: Squares along the long and the short side, and modules along the side of a square; a marker has 7 of them.
+#: Squares along the long and the short side, and modules along the side of a square; a marker's side has 7 modules.
 COLUMNS, ROWS, MODULES = 7, 5, 10
 #: Default side of a square [m]; the board then fits on A4 and on Letter.
 SQUARE_M = 0.035
-#: Half of the window in which a corner is refined [pixel], and end of its iterations: 30, or a step of 0.001 pixels.
+#: Half of the window in which a corner is refined [pixel], and end of the refinement: 30 steps, or one of 0.001 pixels.
 REFINED = (5, 5)
 REFINEMENT_END = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
 #: Length of the line with which the user checks the print [mm].
@@ -24,19 +24,19 @@ MARGIN_MM, FOOT_MM = 12, 18
 
 
 def charuco(square: float = SQUARE_M) -> cv2.aruco.CharucoBoard:
-    """Return OpenCV's board with squares of a side [m]."""
+    """Return OpenCV's model of the board; `square` is the side of its squares [m]."""
     markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
     return cv2.aruco.CharucoBoard((COLUMNS, ROWS), square, 0.7 * square, markers)
 
 
 def modules() -> NDArray[np.bool_]:
-    """Return which modules (rows, columns) of the board are black."""
+    """Return an array (rows, columns) that is true for the black modules of the board."""
     drawn = np.asarray(charuco().generateImage((COLUMNS * MODULES * 10, ROWS * MODULES * 10), None, 0, 1))
     return drawn[5::10, 5::10] < 128
 
 
 def board_svg(square: float = SQUARE_M) -> str:
-    """Return the board as a page to print in true size, with squares of a side [m]."""
+    """Return the board as an SVG page to print in true size; `square` is the side of its squares [m]."""
     side = 1e3 * square / MODULES
     width, height = side * MODULES * COLUMNS, side * MODULES * ROWS
     page = f"{width + 2 * MARGIN_MM:g}", f"{height + 2 * MARGIN_MM + FOOT_MM:g}"
@@ -62,7 +62,7 @@ class Corners:
         self._detector = cv2.aruco.CharucoDetector(charuco(1.0))
 
     def find(self, picture: Picture) -> tuple[NDArray[np.int64], Array]:
-        """Return numbers (k,) and pixels (k, 2), column and row, of the corners in a picture; k may be 0."""
+        """Return numbers (k,) and pixels (k, 2), column and row, of the k corners in a picture; k may be 0."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         pixels, numbers, _, _ = self._detector.detectBoard(grey)
         if numbers is None or pixels is None or len(numbers) == 0:
@@ -74,5 +74,5 @@ class Corners:
 
 
 def corner_positions(square: float) -> Array:
-    """Return the positions (24, 3) of the inner corners on a board with squares of a side [m]."""
+    """Return the positions (24, 3) of the inner corners on a board whose squares have the side `square` [m]."""
     return np.asarray(charuco(square).getChessboardCorners(), np.float64).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Owner of the cameras' processes in the station process: it starts, watches and replaces them.
+"""Owner of the cameras' processes in the station process: it starts, monitors and replaces them.
 
 A failed camera never ends a motion. It gives a warning in the status, and its process is replaced.
 """
@@ -29,7 +29,7 @@ from station.devices.cameras import CameraFile
 
 #: Time for which a request for pictures is valid [s].
 WATCH_S = 1.5
-#: Interval between two messages about requests to a camera, and between two checks of its process [s].
+#: Interval between two requests for pictures to a camera, and between two checks of its process [s].
 CHECK_INTERVAL_S = 0.1
 #: Age of the newest frame or report from which a camera counts as stalled [s].
 STALLED_AFTER_S = 1.5
@@ -38,7 +38,7 @@ STALLED_AFTER_S = 1.5
 HUNG_AFTER_S, RESTART_AFTER_S = 15.0, 2.0
 #: Longest time for a camera's process to end [s]; after it the process is killed.
 EXIT_TIMEOUT_S = 2.0
-#: Rate of frames, as a multiple of the configured one, above which a camera counts as flooding.
+#: Rate of frames, as a multiple of the configured rate, above which the status warns of surplus frames.
 FLOOD = 1.5
 
 
@@ -46,7 +46,7 @@ class CameraStatus(NamedTuple):
     """Status of one camera."""
 
     problem: str  #: what is wrong and what to do; empty: nothing
-    rate: float  #: frames in a second [1/s]
+    rate: float  #: rate of the frames [1/s]
     age: float | None  #: time since the exposure of the newest frame [s]; None: no frame yet
     frames: int  #: number of frames since the start of the camera's process
     surplus: int  #: number of frames that came too fast and were dropped
@@ -96,7 +96,7 @@ class CameraHost:
         self._video = None if folder is None else StartVideo(folder, time.time_ns() - round(1e9 * clock.now()))
 
     def show_board(self, board: ShowBoard | None) -> None:
-        """Let a simulated camera show a calibration board; None: the robot again."""
+        """Show a calibration board to a simulated camera; None: show the robot again."""
         self._board = board
 
     @property
@@ -113,7 +113,7 @@ class CameraHost:
     def _problem(self, now: float, age: float | None) -> str:
         report, rate = self._report, self.camera.rate
         if self._ended:
-            return f"the camera's process ended {self._ended}; another one is being started"
+            return f"the camera's process ended {self._ended}; a new one is being started"
         if now - self._reported > STALLED_AFTER_S:
             silence = f"{now - self._reported:.0f} s"
             return f"the camera's process has not reported for {silence}; it is replaced if it stays silent"
@@ -159,7 +159,7 @@ class CameraHost:
             self._replace()
             return
         if now - self._reported > STALLED_AFTER_S:
-            return  # a silent process would not empty the pipe, and a message would wait for it
+            return  # a silent process does not empty the pipe, so sending a message could block
         if (video := self._video) is not self._ordered:
             self._ordered = video
             self._child.pipe.send(EndVideo() if video is None else video)
@@ -171,7 +171,7 @@ class CameraHost:
             self._child.pipe.send(Watch(self._watched_until))
 
     def _replace(self) -> None:
-        """Start another process after a pause, so that a camera that fails at once does not occupy a processor."""
+        """Start a new process after a pause, so that a camera that fails at once does not occupy a processor."""
         self._child.kill()
         self._ended = self._child.ended(self._clock.real(EXIT_TIMEOUT_S))
         self._report = self._report._replace(rate=0.0)
@@ -202,7 +202,7 @@ class Cameras:
             cameras: cameras of the station file and of the virtual lab.
             known: the same cameras, calibrated and without simulated errors.
             robot: robot that a simulated camera renders.
-            ring: shared memory, which has the address of the virtual lab's true shape.
+            ring: shared memory with the UDP port at which the virtual lab gives its true shape.
             width: number of channels in a row of the ring.
             clock: clock of the station.
             seed: seed of everything random in simulated cameras.

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.camera.board import corner_positions
+from station.config.strict import FORMAT, ConfigError, check, toml_lines
 from station.devices.cameras import LensFile
 from station.devices.config import Mount
 
-#: Fewest corners of a picture that counts, and fewest such pictures of a camera and of a pair.
+#: Smallest number of corners in a usable picture, of usable pictures of a camera, and of usable pairs of pictures.
 MIN_CORNERS, MIN_VIEWS, MIN_PAIRS = 8, 10, 8
-#: Parts of a picture, along its columns and rows, of which the corners must reach a share.
+#: Numbers of cells of a picture along its columns and rows, and share of these cells in which corners are needed.
 COVERAGE_CELLS, MIN_COVERAGE = (8, 6), 0.5
 #: Largest relative standard deviation of a focal length, and largest RMS distance of corners from the model [pixel].
 MAX_FOCAL_DEVIATION, MAX_RMS_PIXELS = 0.005, 1.0
@@ -28,7 +29,7 @@ OUTLIER_FACTOR, OUTLIER_PIXELS = 3.0, 0.15
 
 
 class CalibrationRefused(CtrError):
-    """The pictures do not determine the lens or the pose; the message has what to do."""
+    """The pictures do not determine the lens or the pose; the message has instructions."""
 
 
 class View(NamedTuple):
@@ -45,8 +46,8 @@ class LensResult(NamedTuple):
     lens: LensFile
     rms: float  #: distance of the corners from the model [pixel]
     focal_deviation: float  #: standard deviation of the focal lengths [pixel]
-    coverage: float  #: share of the picture's parts with corners
-    used: int  #: number of pictures without those with too few corners and the outliers
+    coverage: float  #: share of the cells of the picture in which a corner of the board was found
+    used: int  #: number of pictures in the fit: neither outliers nor pictures with too few corners
     outliers: tuple[str, ...]  #: names of pictures that were left out
 
 
@@ -59,7 +60,7 @@ class PairResult(NamedTuple):
 
 
 def coverage(views: Sequence[View], size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return whether each part (rows, columns) of a picture of `size` (columns, rows) has a corner of any view."""
+    """Return whether each cell (rows, columns) of a picture of `size` (columns, rows) has a corner of any view."""
     cells = np.zeros(COVERAGE_CELLS[::-1], np.bool_)
     for view in views:
         at = (view.pixels / size * COVERAGE_CELLS).astype(int)
@@ -85,7 +86,7 @@ def calibrate_lens(views: Sequence[View], size: tuple[int, int], square: float) 
         square: side of the board's squares [m].
 
     Raises:
-        CalibrationRefused: too few pictures, too little of the picture is covered, or the board was not tilted.
+        CalibrationRefused: there are too few pictures, or the board covers too little of them or was not tilted.
     """
     kept = [view for view in views if len(view.numbers) >= MIN_CORNERS]
     outliers: list[str] = []
@@ -120,11 +121,15 @@ def calibrate_lens(views: Sequence[View], size: tuple[int, int], square: float) 
         )
     if not rms < MAX_RMS_PIXELS:
         raise CalibrationRefused(
-            f"the corners are {rms:.2f} pixels from the model (RMS), more than {MAX_RMS_PIXELS:g}: is the board flat,"
-            " and were camera and board at rest?"
+            f"the corners are {rms:.2f} pixels from the model (RMS), more than {MAX_RMS_PIXELS:g}: take new pictures"
+            " with a flat board, and with camera and board at rest"
         )
     k = np.asarray(distortion, np.float64).ravel()[:5].tolist()
-    lens = LensFile(focal=(fx, fy), centre=(cx, cy), distortion=(k[0], k[1], k[2], k[3], k[4]))
+    table = {"focal": (fx, fy), "centre": (cx, cy), "distortion": (k[0], k[1], k[2], k[3], k[4])}
+    try:
+        lens = check(LensFile, table, "the fitted lens")
+    except ConfigError as error:
+        raise CalibrationRefused(f"{error}: take pictures with the board near the edges and tilted") from None
     return LensResult(lens, float(rms), deviation, share, len(kept), tuple(outliers))
 
 
@@ -166,17 +171,17 @@ def calibrate_pair(
     )
     if not rms < MAX_RMS_PIXELS:
         raise CalibrationRefused(
-            f"the corners of both cameras are {rms:.2f} pixels from the model (RMS), more than {MAX_RMS_PIXELS:g}: were"
-            " the pictures of each pair taken at the same time, and was no camera moved?"
+            f"the corners of both cameras are {rms:.2f} pixels from the model (RMS), more than {MAX_RMS_PIXELS:g}: take"
+            " both pictures of a pair at the same time, and do not move the cameras"
         )
-    # OpenCV's rotation leads from the first camera to the second: p_2 = R p_1 + t.
+    # OpenCV's rotation converts a point from the frame of the first camera to that of the second: p_2 = R p_1 + t.
     turn = np.asarray(rotation, np.float64).T
     position = -turn @ np.asarray(translation, np.float64).ravel()
     return PairResult(_mount(turn, position), float(rms), len(points))
 
 
 def composed(pose: Mount, relative: Mount) -> Mount:
-    """Return the pose in the world of a camera with a pose relative to another camera at `pose`."""
+    """Return the pose of a camera in the world; `relative` is its pose in the frame of a camera at `pose`."""
     return _mount(pose.rotation @ relative.rotation, pose.rotation @ np.array(relative.position) + pose.position)
 
 
@@ -185,6 +190,7 @@ class Pictured(NamedTuple):
 
     views: list[View]
     size: tuple[int, int]  #: columns and rows of a picture
+    device: str | None = None  #: the camera's device; None: not known
 
 
 class CamerasResult(NamedTuple):
@@ -192,15 +198,27 @@ class CamerasResult(NamedTuple):
 
     lenses: dict[str, LensResult]
     pair: PairResult | None  #: None: one camera
-    sentences: tuple[str, ...]  #: the result in words
-    toml: str  #: tables `[cameras.NAME.lens]` and `[cameras.NAME.pose]`
+    sentences: tuple[str, ...]  #: human-readable result
+    square: float  #: side of the board's squares [m]
+    tables: str  #: tables `[cameras.NAME]` with lens and pose
+
+    def toml(self, robot: str | None, made: str) -> str:
+        """Return the text of `cameras.toml`.
+
+        Args:
+            robot: name of the robot in whose world frame the poses are; None: no pose is known, and a station refuses
+                the file as a calibration.
+            made: date and source of the calibration.
+        """
+        head = toml_lines({"format": FORMAT, "robot": robot, "made": made})
+        return "\n".join((*head, "", "[board]", *toml_lines({"square": self.square}), "", self.tables))
 
 
 def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mount | None) -> CamerasResult:
     """Return lens and pose of one camera or of two, from pictures of a board.
 
     Args:
-        pictured: views by the name of the camera; the first camera keeps its pose.
+        pictured: views by the name of the camera; `pose` is the pose of the first camera.
         square: side of the board's squares [m].
         pose: pose of the first camera in the world; None: not known.
 
@@ -209,7 +227,7 @@ def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mou
     """
     lenses: dict[str, LensResult] = {}
     sentences: list[str] = []
-    for name, (views, size) in pictured.items():
+    for name, (views, size, _) in pictured.items():
         try:
             lenses[name] = result = calibrate_lens(views, size, square)
         except CalibrationRefused as error:
@@ -221,7 +239,7 @@ def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mou
             f" {result.used} of {len(views)} pictures, {100 * result.coverage:.0f} % of the picture{left_out}"
         )
     first, *others = pictured
-    tables, pair = [camera_toml(first, lenses[first].lens, pose)], None
+    tables, pair = [camera_toml(first, pictured[first], lenses[first].lens, pose)], None
     for second in others:
         good = {
             name: [view for view in pictured[name].views if view.name not in lenses[name].outliers]
@@ -237,14 +255,15 @@ def calibrate_cameras(pictured: Mapping[str, Pictured], square: float, pose: Mou
             f"{first} and {second}: {distance:.1f} mm apart; corners {pair.rms:.2f} pixels from the model (RMS);"
             f" {pair.used} pairs of pictures"
         )
-        tables.append(camera_toml(second, lenses[second].lens, composed(pose or Mount(), pair.relative)))
+        placed = composed(pose or Mount(), pair.relative)
+        tables.append(camera_toml(second, pictured[second], lenses[second].lens, placed))
         if pose is None:
             sentences.append(f"The pose of {second} is in the frame of {first}, whose pose is not known.")
-    return CamerasResult(lenses, pair, tuple(sentences), "\n".join(tables))
+    return CamerasResult(lenses, pair, tuple(sentences), square, "\n".join(tables))
 
 
-def camera_toml(name: str, lens: LensFile, pose: Mount | None) -> str:
-    """Return the tables of a camera for a station file."""
+def camera_toml(name: str, pictured: Pictured, lens: LensFile, pose: Mount | None) -> str:
+    """Return the tables of a camera for a station file or a calibration."""
 
     def row(values: Sequence[float], digits: int) -> str:
         return f"[{', '.join(f'{value:.{digits}g}' for value in values)}]"
@@ -260,7 +279,9 @@ def camera_toml(name: str, lens: LensFile, pose: Mount | None) -> str:
         for part, values in parts.items()
         if values
     )
-    return "\n".join(tables)
+    width, height = pictured.size
+    own = toml_lines({"device": pictured.device, "width": width, "height": height})
+    return "\n".join((f"[cameras.{name}]\n" + "".join(f"{line}\n" for line in own), *tables))
 
 
 def _matrices(lens: LensFile) -> tuple[Array, Array]:

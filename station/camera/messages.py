@@ -7,9 +7,9 @@ from core.robot.robot import Array
 
 
 class Watch(NamedTuple):
-    """Message of the station process: clients need pictures until a time."""
+    """Message of the station process: clients need pictures until the time `until`."""
 
-    until: float  #: by the station's clock [s]
+    until: float  #: time until which pictures are needed, by the station's clock [s]
 
 
 class StartVideo(NamedTuple):
@@ -27,16 +27,16 @@ class ShowBoard(NamedTuple):
     """Message of the station process: a simulated camera shows a calibration board instead of the robot."""
 
     square: float  #: side of the board's squares [m]; 0: show the robot again
-    poses: tuple[tuple[Array, Array], ...]  #: rotation and position of the board, one after the other
+    poses: tuple[tuple[Array, Array], ...]  #: successive poses of the board: rotation and position
     start: float  #: time of the first pose, by the station's clock [s]
-    each: float  #: time of each pose [s]
+    each: float  #: duration of each pose [s]
 
 
 class CameraPicture(NamedTuple):
     """Message of the camera: a picture for the clients."""
 
     number: int  #: number of the frame, from 1
-    time: float  #: exposure by the station's clock [s]
+    time: float  #: time of the exposure, by the station's clock [s]
     jpeg: bytes
 
 
@@ -44,7 +44,7 @@ class CameraReport(NamedTuple):
     """Message of the camera, sent at regular intervals."""
 
     problem: str  #: why there are no frames; empty if there are
-    rate: float  #: frames that have arrived in a second [1/s]
+    rate: float  #: rate of the arriving frames [1/s]
     frames: int  #: number of frames since the start
     surplus: int  #: number of frames that came too fast and were dropped
     newest: float | None  #: exposure of the newest frame by the station's clock [s]; None: no frame yet

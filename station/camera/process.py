@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 GRAB_TIMEOUT_S = 0.05
 #: Interval between two reports, and between two attempts to open a camera [s].
 REPORT_INTERVAL_S, RETRY_INTERVAL_S = 0.25, 1.0
-#: Time over which the rate of the frames is counted [s].
+#: Time over which the rate of the frames is averaged [s].
 RATE_SPAN_S = 2.0
-#: Largest number of pictures that clients receive in a second, and their JPEG quality of 100.
+#: Largest number of pictures that clients receive in a second, and their JPEG quality, 0 ... 100.
 PICTURES_PER_S, JPEG_QUALITY = 15.0, 80
 #: Fraction of the interval between two frames below which a frame is surplus and is not decoded.
 SURPLUS = 0.5
-#: Niceness of the process: other processes of the station go first, unless the camera measures the tip.
+#: Niceness of the process: all other processes of the station have priority, unless the camera measures the tip.
 NICENESS = 5
 
 
@@ -66,7 +66,7 @@ def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
     ring = Ring(setup.ring_width, setup.ring_name)
     capture = _Capture(setup, ring, pipe)
     try:
-        with contextlib.suppress(EOFError, OSError):  # the station process is gone
+        with contextlib.suppress(EOFError, OSError):  # the station process has ended
             while not signals and os.getppid() == parent and capture.step():
                 pass
     finally:
@@ -86,14 +86,14 @@ class _Capture:
         self._arrivals: deque[float] = deque()
         self._frames = self._surplus = 0
         self._newest: float | None = None
-        self._start: StartVideo | None = None  # order whose video starts with the next frame
+        self._start: StartVideo | None = None  # order for a video that starts with the next frame
         self._video: VideoWriter | None = None
         self._recorded, self._video_problem = 0, ""
         self._board: ShowBoard | None = None
-        self._to_driver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # pixels of the ball to the driver `stereo`
+        self._to_driver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)  # sends the ball's pixels to `stereo`
 
     def step(self) -> bool:
-        """Process messages and at most one frame; return False if the station process ends this process."""
+        """Process messages and at most one frame; return False if the station process has requested the end."""
         while self._pipe.poll():
             message: CameraOrder | None = self._pipe.recv()
             match message:
@@ -165,6 +165,7 @@ class _Capture:
         if self._clock.now() < self._retry:
             self._pipe.poll(self._clock.real(GRAB_TIMEOUT_S))
             return
+        import station.camera.video  # noqa: F401 - at the start of a run, frames would have to wait for this import
         from station.camera.sources import CameraLost, open_source  # imports OpenCV
 
         setup = self._setup

@@ -1,4 +1,4 @@
-"""Pictures of the calibration board in the virtual lab, through lenses with distortion, by a warp of each pixel."""
+"""Pictures of the calibration board in the virtual lab, computed for each pixel with the distortion of the lens."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -25,9 +25,9 @@ def picture(
     position: Array,
     random: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return the picture (rows, columns, 3) of a board with squares of a side [m] at a pose in the world.
+    """Return the picture (rows, columns, 3) of a board at a pose in the world; its squares have the side `square` [m].
 
-    A ray through each pixel, without the lens's distortion, meets the board's plane; noise has 2 grey levels.
+    The ray of each pixel, without the lens's distortion, is intersected with the board's plane; noise: 2 grey levels.
     """
     columns, rows = size
     flat = np.kron(np.where(modules(), 30.0, 225.0), np.ones((FLAT, FLAT))).astype(np.float32)
@@ -71,7 +71,7 @@ def shared_pose(views: Sequence[CameraView], random: np.random.Generator, square
 def board_poses(cameras: Mapping[str, CameraFile], square: float, seed: int) -> tuple[tuple[Array, Array], ...]:
     """Return `PICTURES` rotations and positions of a board in front of the simulated cameras of a station.
 
-    The board is in turn anywhere in the picture of each camera, and, every second time, where all cameras see it.
+    The board is at a random position in the picture of each camera in turn; in every second pose, all cameras see it.
     """
     random = np.random.default_rng(seed)
     views = [view for camera in cameras.values() if (view := true_view_of(camera)) is not None]
@@ -86,7 +86,7 @@ def board_poses(cameras: Mapping[str, CameraFile], square: float, seed: int) -> 
 def simulated_pictures(
     cameras: Mapping[str, CameraFile], square: float, seed: int
 ) -> Iterator[tuple[str, Mapping[str, NDArray[np.uint8]]]]:
-    """Yield names and pictures of all cameras of a virtual lab, of a board in the poses of `board_poses`."""
+    """Yield a name and the pictures of all cameras of a virtual lab for each pose of `board_poses`."""
     random = np.random.default_rng((seed, 1))
     views = {name: view for name, camera in cameras.items() if (view := true_view_of(camera)) is not None}
     for number, pose in enumerate(board_poses(cameras, square, seed)):

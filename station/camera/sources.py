@@ -30,7 +30,7 @@ from station.lab.rendering import Picture, Renderer
 cv2.setNumThreads(1)
 #: Folder of the stable names of USB cameras.
 STABLE_NAMES = Path("/dev/v4l/by-id")
-#: Number of frames in succession that a USB camera may fail to deliver before it counts as lost.
+#: Number of successive frames that a USB camera fails to deliver, after which it counts as lost.
 MAX_FAILED_GRABS = 3
 
 
@@ -63,7 +63,7 @@ class Source(Protocol):
 
 
 class UsbCamera:
-    """A USB camera, or a video file, whose frames arrive as fast as they are read."""
+    """A USB camera, or a video file. The frames of a file arrive as fast as they are read."""
 
     def __init__(self, camera: CameraFile, clock: StationClock) -> None:
         """Open the camera.
@@ -83,7 +83,7 @@ class UsbCamera:
         # OpenCV opens a V4L2 device by the number in its name, which the stable name links to.
         self._capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_V4L2 if usb else cv2.CAP_ANY)
         if not self._capture.isOpened():
-            raise CameraLost(f"{path}: cannot be opened as a camera; is another program using it?")
+            raise CameraLost(f"{path}: cannot be opened as a camera; end other programs that use it")
         if usb:
             self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
@@ -124,19 +124,19 @@ class UsbCamera:
 class _Exposure(NamedTuple):
     """Frame of a simulated camera that has not arrived yet."""
 
-    arrival: float  #: by the station's clock [s]
+    arrival: float  #: time of arrival, by the station's clock [s]
     shape: TubeShape | None
 
 
 class SimulatedCamera:
-    """Camera of the virtual lab: it sees the true shape of the tubes, and its frames arrive late."""
+    """Camera of the virtual lab: it renders the true shape of the tubes, and its frames arrive with latency."""
 
     def __init__(self, camera: CameraFile, robot: Robot, ring: Ring, clock: StationClock, seed: int) -> None:
         self._camera, self._ring, self._clock = camera, ring, clock
         self._simulation = camera.simulation or SimulationFile()
         view = true_view_of(camera)
         if view is None:
-            raise CameraLost("a simulated camera needs a lens and a pose")
+            raise CameraLost("a simulated camera needs a lens and a pose; add both to its table")
         self._view, self._renderer = view, Renderer(robot, camera, view, seed)
         self._board: ShowBoard | None = None
         self._board_picture: tuple[int, Picture] | None = None  # number of the pose, and its picture
@@ -171,7 +171,7 @@ class SimulatedCamera:
         if board is None:
             return self._renderer.render(self._shape)
         number = int(max(0.0, self._exposed - board.start) / board.each) % len(board.poses)
-        if self._board_picture is None or self._board_picture[0] != number:  # it takes longer than a frame
+        if self._board_picture is None or self._board_picture[0] != number:  # rendering takes longer than a frame
             size = (self._camera.width, self._camera.height)
             shown = board_picture(self._view, size, board.square, *board.poses[number], self._random)
             self._board_picture = number, shown
@@ -199,6 +199,6 @@ def open_source(camera: CameraFile, robot: Robot, ring: Ring, clock: StationCloc
     """Open the camera that a station file describes.
 
     Raises:
-        CameraLost: the camera cannot be opened; the message has what to do.
+        CameraLost: the camera cannot be opened; the message has instructions.
     """
     return SimulatedCamera(camera, robot, ring, clock, seed) if camera.simulated else UsbCamera(camera, clock)

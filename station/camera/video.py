@@ -2,7 +2,7 @@
 
 The video has its own file, `cameras/NAME.mcap` in the run's folder, which the camera's process writes. So a camera that
 fills the disk, hangs or is killed never damages the telemetry of the run. Both files have the same time, so Foxglove
-shows them together. The file has the chunks of the other recordings: a kill loses only the last chunk.
+shows them together. The file consists of chunks like the other recordings, so a kill loses only the last chunk.
 
 Each frame is a message without references to later frames, and each key frame starts with the parameter sets.
 """
@@ -38,14 +38,15 @@ from station.recording.run_folder import RECORDING_SUFFIX, video_files
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 from station.recording.writer import PARTIAL_SUFFIX
+from station.regular_file import open_in
 
-#: Time between two chunks, and between two key frames and calibrations [s].
+#: Interval between two chunks, and between two key frames or calibration messages [s].
 CHUNK_INTERVAL_S, KEY_INTERVAL_S = 0.5, 1.0
 #: Quality of the video: libx264's constant rate factor, 0 ... 51, lower is better.
 QUALITY = 23
 #: Unit of the frames' times in the encoder [s].
 TIME_BASE = Fraction(1, 1_000_000)
-#: Type of the unit with which a key frame starts.
+#: H.264 type of the unit with which a key frame starts: its sequence parameter set.
 SEQUENCE_SET = 7
 VIDEO, CALIBRATION, TRANSFORM = 1, 2, 3  #: ids of the MCAP topics
 VIDEO_SCHEMA = "foxglove_msgs/CompressedVideo"
@@ -210,7 +211,7 @@ def read_frames(path: Path) -> Iterator[RecordedFrame]:
         RecordingError: the file cannot be read or is not a video of this program.
     """
     try:
-        with path.open("rb") as file:
+        with open_in(path.parent, path.name) as file:
             for schema, _, message in make_reader(file).iter_messages(log_time_order=False):
                 if schema is not None and schema.name == VIDEO_SCHEMA:
                     (length,) = struct.unpack_from("<I", message.data, 8)
@@ -239,9 +240,9 @@ def decode_frames(path: Path) -> Iterator[tuple[int, Picture]]:
 
 
 def stills(path: Path, times: Sequence[int]) -> list[tuple[int, Picture]]:
-    """Return time and picture, as `decode_frames`, of the frames nearest to wall times [ns since 1970].
+    """Return the frames nearest to the wall times `times` [ns since 1970]: time and picture, as `decode_frames`.
 
-    Only the frames between a key frame and such a frame are decoded. A video without frames has no stills.
+    Only these frames and those since the key frame before each are decoded. A video without frames has no stills.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -268,7 +269,7 @@ def _is_key(data: bytes) -> bool:
 
 
 def _decoded(frames: Sequence[RecordedFrame]) -> tuple[int, Picture]:
-    """Return time and picture of the last of successive frames, of which the first is a key frame."""
+    """Return time and picture of the last of successive frames; the first frame must be a key frame."""
     decoder: Any = av.CodecContext.create("h264", "r")
     decoder.thread_count = 1
     pictures = [one for frame in frames for one in decoder.decode(av.Packet(frame.data))]
@@ -285,7 +286,7 @@ def camera_of(path: Path) -> tuple[str, CameraFile]:
         RecordingError: the file cannot be read or is not a video of this program.
     """
     try:
-        with path.open("rb") as file:
+        with open_in(path.parent, path.name) as file:
             written = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
         values = values_of(written["camera"])
         known = {key: value for key, value in values.items() if key in CameraFile.model_fields}

@@ -1,14 +1,14 @@
 """The command `calibrate`: calibrate a rig and write files that a run or a station can use."""
 
 import argparse
-import json
 import sys
 import time
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from station.cli.options import number_between, print_result, progress_bar, result_folder, seed
+from station.cli.options import add_results, number_between, print_result, progress_bar, result_folder, seed
+from station.cli.validate import add_columns
 
 if TYPE_CHECKING:
     from core.robot.robot import Array
@@ -19,7 +19,8 @@ PROCEDURES = {
     "latency": "delay of the tracker",
     "tracker": "poses of tracker and coil",
     "force": "orientation of the base sensors, weight mounted on them, drift",
-    "tubes": "EI, curvature, nu, lengths and zeros of the tubes together with all frames and sensors",
+    "tubes": "stiffness, curvature, Poisson's ratio, lengths and zeros of the tubes, and all frames and sensors",
+    "residual": "tubes, and a learned correction of the model's remaining error by joints, last motions and load",
 }
 
 
@@ -37,19 +38,26 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--lab", default="uncalibrated", metavar="LAB", help="virtual lab: preset or .toml file (default: uncalibrated)"
     )
     calibrate.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (default: 0)"
+        "--seed", type=seed, default=0, metavar="N", help="seed of all random numbers of the lab (default: 0)"
     )
     calibrate.add_argument(
         "--effort",
         type=number_between(0.5, 5.0, "a factor", ""),
         default=1.0,
         metavar="X",
-        help="factor on the number of poses (default: 1)",
+        help="factor on the number of poses, 0.5 ... 5 (default: 1)",
     )
     calibrate.add_argument(
-        "--from", type=Path, dest="poses", metavar="POSES.csv",
-        help="tubes: use poses that were measured elsewhere, columns as in validate --help; nothing moves",
+        "--weights", nargs="+", type=number_between(0.02, 2.0, "a weight", "N"), default=(), metavar="N",
+        help="known weights at the tip [N], 0.02 ... 2 (default: 0.25 0.5, less if the robot bears less)",
     )  # fmt: skip
+    source = calibrate.add_mutually_exclusive_group()
+    source.add_argument("--visit", action="store_true", help="visit poses on the rig (default)")
+    source.add_argument(
+        "--from", type=Path, dest="poses", metavar="POSES.csv",
+        help="tubes, residual: use poses that were measured elsewhere, columns as in validate --help; nothing moves",
+    )  # fmt: skip
+    add_columns(calibrate)
     calibrate.add_argument(
         "--hysteresis",
         action="store_true",
@@ -63,10 +71,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         help="folder of an earlier calibration: its cameras measure the tip, and its other files are copied",
     )  # fmt: skip
     calibrate.add_argument("--realtime", action="store_true", help="run in real time")
-    calibrate.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of results (calibrations, inside --data if given)"
-    )
-    calibrate.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    add_results(calibrate, "calibrations")
     calibrate.set_defaults(command=_calibrate)
 
 
@@ -75,17 +80,23 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     if parsed.poses is not None or parsed.hysteresis:
         return _from_poses(parsed)
     from station.calibration.files import new_folder
-    from station.calibration.outcome import Provenance, write_all
+    from station.calibration.outcome import Provenance, result_table, write_all
     from station.calibration.plan import PlanSubject
     from station.calibration.procedure import StoppedByHandError
-    from station.config.robots import load_robot
+    from station.config.robots import WHOLE_LOAD, load_robot
+    from station.config.strict import ConfigError
     from station.control.bench_calibration import BenchCalibration
     from station.lab.aurora_coil import assumed_mounting
     from station.lab.config import load_lab
 
     robot = load_robot(parsed.robot)
     lab = load_lab(parsed.lab, robot)
-    subject = PlanSubject.of(robot, robot_start(robot))
+    robot = robot.sensed_at(lab.sensors.at, "sensors.at of the lab")
+    if lab.sensors.at not in WHOLE_LOAD and parsed.what == "force":
+        raise ConfigError(
+            f"lab '{parsed.lab}': sensors.at = '{lab.sensors.at}' cannot be calibrated; use tubes or robot"
+        )
+    subject = PlanSubject.of(robot, robot_start(robot), senses=lab.sensors.at in WHOLE_LOAD)
     views = {} if parsed.calibration is None else BenchCalibration.load(parsed.calibration, robot).views
     start_time = time.perf_counter()
     try:
@@ -98,14 +109,9 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     provenance = Provenance(parsed.what, stamp.isoformat(timespec="seconds"), lab.title, parsed.seed, robot_s, True)
     summary = write_all(folder, result, subject, provenance, assumed_mounting(lab), parsed.calibration)
     summary["wall_s"] = round(time.perf_counter() - start_time, 3)
-    if parsed.json:
-        sys.stdout.write(f"{json.dumps(summary)}\n")
-    else:
-        from station.calibration.outcome import result_table
-
-        took = f"{robot_s:.0f} s simulated in {summary['wall_s']:.1f} s"
-        print_result([result_table(result, subject, provenance)], [*summary["findings"], took], folder)
-    return 0
+    took = f"{robot_s:.0f} s simulated in {summary['wall_s']:.1f} s"
+    table = result_table(result, subject, provenance)
+    return print_result(parsed, summary, [table], [*summary["findings"], took], folder)
 
 
 def _from_poses(parsed: argparse.Namespace) -> int:
@@ -115,10 +121,12 @@ def _from_poses(parsed: argparse.Namespace) -> int:
 
     if parsed.poses is None:
         raise ConfigError("--hysteresis requires --from POSES.csv: a calibration on a rig always fits the drives' play")
-    if parsed.what != "tubes":
-        raise ConfigError(f"--from works with 'calibrate tubes', not with 'calibrate {parsed.what}'")
+    if parsed.what not in ("tubes", "residual"):
+        raise ConfigError(
+            f"--from works with 'calibrate tubes' and 'calibrate residual', not with 'calibrate {parsed.what}'"
+        )
     parsed.test = None
-    return run_validation(parsed, "tubes", parsed.robot, "tubes", write_calibration)
+    return run_validation(parsed, parsed.what, parsed.robot, parsed.what, write_calibration)
 
 
 def _run_procedure(parsed: argparse.Namespace, subject: Any, lab: Any, views: Any) -> tuple[Any, float]:
@@ -127,7 +135,7 @@ def _run_procedure(parsed: argparse.Namespace, subject: Any, lab: Any, views: An
     from station.calibration.catalogue import start_procedure
     from station.control.clock import RealClock, VirtualClock
 
-    procedure = start_procedure(parsed.what, subject, parsed.effort)
+    procedure = start_procedure(parsed.what, subject, parsed.effort, tuple(parsed.weights))
     with progress_bar() as bar:
         task = bar.add_task(f"calibrate {parsed.what}", total=1.0)
 

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from station.camera.lens_calibration import Pictured
     from station.devices.cameras import CameraFile
 
-#: Endings of picture files.
+#: File name suffixes of pictures.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp")
 
 
@@ -27,9 +28,9 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     }  # fmt: skip
     board = what.add_parser("board", help="write the board as an SVG file, to print in true size")
     board.add_argument("--square", **square)
-    board.add_argument("--out", type=Path, default=Path("board.svg"), metavar="FILE", help="(default: board.svg)")
+    board.add_argument("--out", type=Path, default=Path("board.svg"), metavar="FILE", help="file (default: board.svg)")
     board.set_defaults(command=_board)
-    calibrate = what.add_parser("calibrate", help="calibrate one camera, or two that look at the same board")
+    calibrate = what.add_parser("calibrate", help="calibrate one camera, or two that view the same board")
     calibrate.add_argument(
         "folders", nargs="*", metavar="NAME=FOLDER",
         help="name of a camera and folder of its pictures; pictures of two cameras with the same file name were taken"
@@ -38,7 +39,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     calibrate.add_argument("--square", **square)
     calibrate.add_argument(
         "--lab", metavar="LAB",
-        help="virtual lab with two cameras, which take simulated pictures of a board, instead of folders",
+        help="use simulated pictures of a board by the two cameras of this virtual lab, instead of folders",
     )  # fmt: skip
     calibrate.add_argument("--seed", type=seed, default=0, help="seed of the simulated pictures (default: 0)")
     calibrate.add_argument(
@@ -48,7 +49,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     )  # fmt: skip
     calibrate.add_argument(
         "--out", type=Path, default=Path("cameras.toml"), metavar="FILE",
-        help="tables for the station file, or for a folder of --calibration (default: cameras.toml)",
+        help="output file, to copy into the station file or to use with --calibration (default: cameras.toml)",
     )  # fmt: skip
     calibrate.set_defaults(command=_calibrate)
 
@@ -78,21 +79,26 @@ def _calibrate(parsed: argparse.Namespace) -> int:
     from station.service.station_file import load_station
 
     square = 1e-3 * parsed.square
-    cameras: Mapping[str, CameraFile] = {} if parsed.config is None else load_station(parsed.config).cameras
+    station = None if parsed.config is None else load_station(parsed.config)
+    robot = None if station is None else load_robot(station.robot).name
+    cameras: Mapping[str, CameraFile] = {} if station is None else station.cameras
     if parsed.lab is not None:
         if parsed.folders or parsed.config is not None:
             raise ConfigError("--lab takes simulated pictures: give no folders and no --config")
-        cameras = load_lab(parsed.lab, load_robot("paper")).cameras
+        robot = "paper"
+        cameras = load_lab(parsed.lab, load_robot(robot)).cameras
         if not cameras:
-            raise ConfigError(f"--lab {parsed.lab}: this lab has no cameras")
+            raise ConfigError(f"--lab {parsed.lab}: this lab has no cameras; choose a lab with cameras")
         found = _simulated(cameras, square, parsed.seed)
     else:
-        found = {name: _views(name, Path(folder)) for name, folder in _named(parsed.folders).items()}
+        found = {name: _views(name, Path(folder), cameras.get(name)) for name, folder in _named(parsed.folders).items()}
     first = next(iter(found))
     result = calibrate_cameras(found, square, cameras[first].pose if first in cameras else None)
     sys.stdout.write("".join(f"{sentence}\n" for sentence in result.sentences))
-    write_atomically(result.toml, parsed.out)
-    sys.stdout.write(f"{parsed.out}: copy its tables to the station file, or its folder is a --calibration\n")
+    made = f"'cameras calibrate' of {datetime.now().astimezone().isoformat(timespec='seconds')}"
+    write_atomically(result.toml(robot, made), parsed.out)
+    use = "" if robot is None else ", or use its folder as a --calibration"
+    sys.stdout.write(f"{parsed.out}: copy its tables [cameras.NAME] to the station file{use}\n")
     return 0
 
 
@@ -113,7 +119,7 @@ def _simulated(cameras: "Mapping[str, CameraFile]", square: float, seed: int) ->
     from station.camera.simulated_board import PICTURES, simulated_pictures
 
     corners = Corners()
-    found = {name: Pictured([], (camera.width, camera.height)) for name, camera in cameras.items()}
+    found = {name: Pictured([], (camera.width, camera.height), camera.device) for name, camera in cameras.items()}
     with progress_bar() as bar:
         taken = simulated_pictures(cameras, square, seed)
         for number, pictures in bar.track(taken, total=PICTURES, description="corners in simulated pictures"):
@@ -122,8 +128,8 @@ def _simulated(cameras: "Mapping[str, CameraFile]", square: float, seed: int) ->
     return found
 
 
-def _views(name: str, folder: Path) -> "Pictured":
-    """Return the corners in every picture of a folder, and the pictures' columns and rows."""
+def _views(name: str, folder: Path, camera: "CameraFile | None") -> "Pictured":
+    """Return the corners in every picture of a folder, the pictures' columns and rows, and the camera's device."""
     import cv2
     import numpy as np
 
@@ -139,9 +145,9 @@ def _views(name: str, folder: Path) -> "Pictured":
         for path in bar.track(paths, description=f"corners of {name}"):
             picture = cv2.imread(str(path))
             if picture is None:
-                raise ConfigError(f"{path}: not a picture")
+                raise ConfigError(f"{path}: not a readable picture; remove the file or save the picture again")
             sizes.add((picture.shape[1], picture.shape[0]))
             if len(sizes) > 1:
                 raise ConfigError(f"{path}: the pictures of a camera must have one size, not {sorted(sizes)}")
             views.append(View(path.stem, *corners.find(np.asarray(picture, np.uint8))))
-    return Pictured(views, sizes.pop())
+    return Pictured(views, sizes.pop(), None if camera is None else camera.device)

@@ -14,8 +14,9 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     """Add the command `check-driver` to the parser."""
     check = commands.add_parser(
         "check-driver", help="check whether a driver keeps the contract of the control loop",
-        description="Check a driver: with NAME a built-in one on simulated devices, with --config every driver that a"
-        " station file names, on its devices. Each line starts with ok or FAIL; the exit status is 1 after a FAIL.",
+        description="Check the built-in driver NAME on simulated devices, or with --config every driver that a station"
+        " file names, on its devices. Each line names a requirement and starts with ok, FAIL or -- (not checked). The"
+        " exit status is 1 after a FAIL.",
     )  # fmt: skip
     check.add_argument(
         "name", nargs="?", metavar="NAME", help="zaber, zaber_ascii, cia402, grbl, marlin, aurora or netft"
@@ -25,16 +26,23 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--move", action="store_true",
         help="with --config: also home and move the stages; first make sure that they can move freely",
     )  # fmt: skip
+    check.add_argument(
+        "--requirements", action="store_true", help="print the requirements as a table, and check nothing"
+    )
     check.set_defaults(command=_check)
 
 
 def _check(parsed: argparse.Namespace) -> int:
     from station.config.strict import ConfigError
     from station.devices.config import BenchFile
+    from station.devices.driver_check.requirements import requirements_table
     from station.service.station_file import load_station
 
+    if parsed.requirements:
+        print(requirements_table(), end="")  # noqa: T201
+        return 0
     if (parsed.name is None) == (parsed.config is None):
-        raise ConfigError("name a built-in driver, or a station file with --config")
+        raise ConfigError("give either the name of a built-in driver, or a station file with --config")
     if parsed.config is not None:
         file = load_station(parsed.config)
         if not isinstance(file.devices, BenchFile):
@@ -79,7 +87,8 @@ def _simulated(name: str) -> Iterator[tuple[Any, Any, str]]:
 def _report(bench: Any, robot: Any, moves: bool, only: str = "") -> int:
     """Check the drivers of a bench, or `only` that of one kind; print the findings, and return the exit status."""
     from station.control.clock import REAL_TIME_CLOCK
-    from station.devices.driver_check import check_sensors, check_stages, check_tracker
+    from station.devices.driver_check.samples import check_sensors, check_tracker
+    from station.devices.driver_check.stages import check_stages
     from station.devices.registry import emergency_stop, plan
 
     openers = plan(bench, robot)
@@ -88,15 +97,16 @@ def _report(bench: Any, robot: Any, moves: bool, only: str = "") -> int:
             opens, robot.joints, REAL_TIME_CLOCK, emergency_stop(bench.stages, robot), moves
         ),
         "tracker": lambda opens: check_tracker(opens, REAL_TIME_CLOCK),
-        "sensors": lambda opens: check_sensors(opens, len(robot.tubes), REAL_TIME_CLOCK),
+        "sensors": lambda opens: check_sensors(opens, len(robot.sensor_names), REAL_TIME_CLOCK),
     }
     console, failed = Console(highlight=False, soft_wrap=True), 0
+    marks = {True: "[green]ok  [/]", False: "[red]FAIL[/]", None: "--  "}
     for kind, opens in openers.items():
         if only not in ("", kind):
             continue
         console.print(f"[bold]{kind}[/]: driver {getattr(bench, kind)['driver']}")
         for finding in checks[kind](opens):
-            failed += not finding.good
-            console.print("[green]ok  [/] " if finding.good else "[red]FAIL[/] ", end="")
+            failed += finding.good is False
+            console.print(marks[finding.good], end=" ")
             console.print(f"{finding.subject}: {finding.text}", markup=False)
     return 1 if failed else 0

@@ -1,7 +1,4 @@
-"""The command `keys`: print a reference of every key of every configuration file, from the models that check them.
-
-The file `station/FILES.md` is the output of this command.
-"""
+"""The command `keys`: print a reference of every key of every configuration file, from the models that check them."""
 
 import argparse
 import json
@@ -26,8 +23,7 @@ value out of its range. `ctr-station keys` prints this page from the models that
 * `ctr-station run FILE.toml` runs an experiment. The panel's tab *Run* lists the experiments in `[experiments] folder`.
   For a file that is not a valid experiment it shows the reason.
 * `ctr-station design FILE.toml` runs a study; [design](design/README.md) describes the results.
-* A preset can be named instead of a file: robots `paper`, `balanced_pair`, `three_tubes`, `nylon`,
-  `wpi_kit`; labs `gentle`, `realistic`, `distorted`, `uncalibrated`, `ideal`.
+* A preset can be named instead of a file:
 """
 CASES_TEXT = """
 An experiment's file may also have these tables:
@@ -39,8 +35,11 @@ An experiment's file may also have these tables:
 Without cases the experiment has one case with the name of the file.
 """
 CALIBRATIONS_TEXT = """
-`ctr-station calibrate` writes this file and the next into a new folder, together with a `robot.toml` in the format
-above. The key `calibration` of a station or an experiment names the folder.
+`ctr-station calibrate` writes this file and the next into a new folder, together with a `robot.toml` and a
+`described.toml` in the format of a robot's file. `robot.toml` has the calibrated tubes; only its stiffness, Poisson's
+ratio, lengths and curvatures are used, and all other keys come from the robot's file. `described.toml` is the
+robot's file before the calibration. If its tubes, its base or the tubes of its joints have changed since, the
+calibration is refused. The key `calibration` of a station or an experiment names the folder.
 """
 DEVICES_TEXT = """
 The sections *Driver* list the options of each built-in driver; [devices](devices/README.md) has an example of a bench.
@@ -63,7 +62,8 @@ def _keys(parsed: argparse.Namespace) -> int:  # noqa: ARG001 - it takes no opti
 def reference_page() -> str:
     """Return the reference page as Markdown."""
     from station.config.robots import RobotFile
-    from station.control.bench_calibration import RegistrationFile, SensorsFile
+    from station.control.bench_calibration import LatencyFile, RegistrationFile, SensorsFile, ViewsFile
+    from station.control.residual_file import ResidualFile
     from station.design.study import StudyFile
     from station.devices.ati.netft import NetftFile
     from station.devices.ati.nidaq import NidaqFile
@@ -78,7 +78,8 @@ def reference_page() -> str:
     from station.service.station_file import StationFile
 
     documented: set[str] = set()
-    parts = [HEADING, *_worked()]
+    presets = (f"    * {kind}: {', '.join(strict.preset_names(kind))}" for kind in ("robots", "labs", "experiments"))
+    parts = [HEADING + "\n".join(presets), *_worked()]
     for title, model, more in (
         ("Robot", RobotFile, ""),
         ("Station", StationFile, DEVICES_TEXT),
@@ -94,6 +95,9 @@ def reference_page() -> str:
         ("Experiment", CaseFile, CASES_TEXT),
         ("Calibration: registration.toml", RegistrationFile, CALIBRATIONS_TEXT),
         ("Calibration: sensors.toml", SensorsFile, ""),
+        ("Calibration: residual.toml", ResidualFile, ""),
+        ("Calibration: latency.toml", LatencyFile, ""),
+        ("Calibration: cameras.toml", ViewsFile, ""),
         ("Study", StudyFile, ""),
     ):
         schema = TypeAdapter(model).json_schema()

@@ -8,21 +8,37 @@ import sys
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from station.benchmarks.loop import TimerProbe
 from station.cli.machine import README, MachineFinding, setup_findings
 from station.control.realtime import may_lock_memory, request_fifo
 
+if TYPE_CHECKING:
+    from station.service.station_file import Rig
+
 #: Duration of the measurement of timer delays, and longest wait for the start of that measurement [s].
 TIMER_PROBE_S, TIMER_START_TIMEOUT_S = 3.0, 20.0
 
 
-def findings() -> Iterator[MachineFinding]:
-    """Check scheduling, processors, memory, serial ports, the setup for a bench, and the browser."""
+def findings(config: Path | None = None) -> Iterator[MachineFinding]:
+    """Check scheduling, processors, memory, serial ports, the setup for a bench, the browser, and a station file.
+
+    Raises:
+        ConfigError: the station file is invalid.
+    """
+    if config is not None:
+        from station.cli.stage_settings import settings_findings
+        from station.service.station_file import load_station
+
+        rig = load_station(config).bench()
+        yield _latency(rig)
+        yield from settings_findings(rig)
     yield MachineFinding("Python", True, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     yield MachineFinding(
-        "processors", cores >= 2, f"{cores}; one is for the control process" if cores >= 2 else
+        "processors", cores >= 2, f"{cores}; the control process uses one" if cores >= 2 else
         "only one: control and browser will disturb each other",
     )  # fmt: skip
     yield _scheduling()
@@ -53,7 +69,7 @@ def _scheduling() -> MachineFinding:
         return MachineFinding("real time", True, "SCHED_FIFO is granted: the 500 Hz loop runs with little jitter")
     advice = {
         "linux": f"{_limit()}; ctr-station doctor --print limits | sudo tee /etc/security/limits.d/ctr-station.conf,"
-        f" join the group dialout and log in again; for a service or a container {README}; or start with CAP_SYS_NICE,"
+        f" join the group dialout and log in again; or see {README} for a service or a container; or give CAP_SYS_NICE,"
         " e.g. sudo setcap cap_sys_nice,cap_ipc_lock+ep on a copy of the interpreter",
         "darwin": "macOS has no SCHED_FIFO for programs; use Linux for experiments",
     }.get(sys.platform, "this system has no SCHED_FIFO; use Linux for experiments")
@@ -88,7 +104,7 @@ def _punctuality() -> MachineFinding:
 def _memory() -> MachineFinding:
     if may_lock_memory():
         return MachineFinding("memory", True, "locking is allowed: the loop never waits for the disk")
-    advice = "the same file sets memlock to unlimited; or start with CAP_IPC_LOCK"
+    advice = "the file of 'ctr-station doctor --print limits' sets memlock to unlimited; or start with CAP_IPC_LOCK"
     if sys.platform != "linux":
         advice = "this system does not let programs lock memory; use Linux for experiments"
     return MachineFinding(
@@ -108,11 +124,16 @@ def _shared_memory() -> MachineFinding:
     return MachineFinding("shared memory", True, "available for telemetry")
 
 
-#: Advice about one serial port for each stage. Its effect on the error of the tip has not been measured.
-ONE_PORT_PER_STAGE = (
-    "each of three Zaber stages gets a command every 25 ms on one chain, every 10 ms on separate ports:"
-    " see station/devices/README.md, 'One chain or a port for each stage'"
-)
+def _latency(rig: "Rig") -> MachineFinding:
+    """Return the latency of a rig's stages, and the latency for which the controller plans if it differs."""
+    sent, planned = rig.latency, rig.controlled(rig.controller).estimator.actuation
+    text = f"each stage gets a velocity every {1e3 * sent.interval:.3g} ms, {1e3 * sent.delay:.3g} ms after it was sent"
+    if (planned.command_interval, planned.transport_delay) != sent:
+        text += (
+            f"; the controller plans for {1e3 * planned.command_interval:.3g} ms and"
+            f" {1e3 * planned.transport_delay:.3g} ms (keys command_interval, transport_delay)"
+        )
+    return MachineFinding("stages", True, text)
 
 
 def _limit() -> str:
@@ -126,8 +147,5 @@ def _serial_ports() -> Iterator[MachineFinding]:
 
     ports = list(comports())
     named = ", ".join(f"{port.device} ({port.description})" for port in ports)
-    text = named or "none; the virtual lab needs none"
-    if ports:
-        text += f"; {ONE_PORT_PER_STAGE}"
-    yield MachineFinding("serial ports", True, text)
+    yield MachineFinding("serial ports", True, named or "none; the virtual lab needs none")
     yield from setup_findings(port.device for port in ports)

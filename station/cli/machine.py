@@ -80,7 +80,7 @@ def rules(folders: Iterable[Path], adapters: Path) -> MachineFinding:
     here = f"ctr-station doctor --print rules | sudo tee /etc/udev/rules.d/{name}"
     if slow:
         advice = "plug it in again" if installed else here
-        return MachineFinding("udev rules", False, f"{', '.join(slow)} passes received bytes on late; {advice}")
+        return MachineFinding("udev rules", False, f"{', '.join(slow)} delays bytes by more than 1 ms; {advice}")
     if installed is None:
         needed = any(adapters.glob("*"))
         return MachineFinding("udev rules", not needed, f"none; for a bench {here}")
@@ -101,5 +101,5 @@ def service(unit: Path) -> MachineFinding:
         return MachineFinding("service", False, f"{unit} {problem}; {again}")
     priority = re.search(r"^LimitRTPRIO=(\d+|infinity)$", text, re.MULTILINE)
     if priority is None or (priority[1] != "infinity" and int(priority[1]) < PRIORITY):
-        return MachineFinding("service", False, f"{unit} grants no real-time scheduling (LimitRTPRIO=90); {again}")
+        return MachineFinding("service", False, f"{unit} lacks LimitRTPRIO=90, so no real-time scheduling; {again}")
     return MachineFinding("service", True, f"{unit} starts {command[1]}")

@@ -23,20 +23,21 @@ from station.cli import (
     config_reference,
     design,
     export,
+    ik,
     report,
     run,
-    soak,
     sweep,
     validate,
     workspace,
 )
+from station.cli.compile_notice import noticed_compilation
 from station.cli.options import move_command_first, number_between
 from station.config.strict import preset_names
 from station.threads import limit_to_one_thread
 
 #: Error numbers of the operating system for a path that cannot be accessed, which any command may cause.
 PATH_ERRORS = (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES)
-#: Length at which a path that cannot be accessed is cut in an error message [characters].
+#: Largest number of characters of an inaccessible path in an error message; a longer path is cut.
 MAX_PATH_CHARS = 200
 
 
@@ -76,15 +77,27 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
 
     run.add(commands)
 
-    solve = commands.add_parser("solve", help="solve the loaded model: JSON lines in, JSON lines out")
+    solve = commands.add_parser(
+        "solve", help="solve the loaded model: JSON lines in, JSON lines out",
+        epilog='A line is {"joints": {NAME: value, ...}, "force": [x, y, z], "moment": [x, y, z], "follow": true} [rad,'
+        " m, N, N m]; only joints is required. Every line is solved from rest (aligned, unloaded tubes); with follow,"
+        " from the shape of the line before, as if the robot moved between them. The tip is the end of the innermost"
+        ' tube. With "contact": s the force acts at the arc length s from the plate [m]. "loads": [{"at": s, "force":'
+        ' [x, y, z]}], "gravity": [x, y, z] (direction of the tubes\' weight) and "distributed": [x, y, z] [N/m] add'
+        " loads; the exact rod solves such a line. The answer has warnings where a joint is beyond its travel, or a"
+        " tube is strained beyond what its material recovers from.",
+    )  # fmt: skip
     solve.add_argument("--robot", default="paper", metavar="FILE", help="robot: preset or .toml file (default: paper)")
     solve.add_argument(
         "--sublink",
         type=number_between(0.0001, 0.1, "a length", "m"),
         metavar="M",
-        help="sub-link length [m] (default: 0.01)",
+        help="sub-link length [m] (default: from the robot; 0.01 for the integrator 'paper')",
     )
-    solve.add_argument("--exact", action="store_true", help="use the exact rod instead of the paper's model; tip only")
+    solve.add_argument(
+        "--integrator", choices=("paper", "fourth_order"), help="integrator of the model (default: from the robot)"
+    )
+    solve.add_argument("--exact", action="store_true", help="use the exact rod instead of the fast model")
     solve.set_defaults(command=_solve)
 
     lab = commands.add_parser(
@@ -110,15 +123,21 @@ def parser() -> tuple[CommandParser, "argparse._SubParsersAction[CommandParser]"
     config_reference.add(commands)
     report.add(commands)
     sweep.add(commands)
-    soak.add(commands)
     validate.add(commands)
     workspace.add(commands)
+    ik.add(commands)
 
     doctor = commands.add_parser("doctor", help="check this computer and explain the findings")
     doctor.add_argument(
         "--print",
         choices=("rules", "limits", "service", "dockerfile"),
         help="print a file for the setup of a bench computer",
+    )
+    doctor.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="station file; connects its stages without moving them, and prints their latency and settings",
     )
     doctor.set_defaults(command=_doctor)
     return top, commands
@@ -151,7 +170,8 @@ def execute(top: CommandParser, commands: Container[str], arguments: Sequence[st
     limit_to_one_thread()
     sys.unraisablehook = _repeat_lost_interrupt
     try:
-        return command(parsed)
+        with noticed_compilation():
+            return command(parsed)
     except CtrError as error:
         # Print one line, even if the error text contains line breaks.
         sys.stderr.write(f"ctr-station: {' '.join(str(error).split())}\n")
@@ -198,16 +218,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(parsed: argparse.Namespace) -> int:
-    from core.model.statics import PAPER_SUBLINK_M  # local import: this compiled code is half of the start time
-    from station.config.robots import load_robot
+    from station.config.robots import load_robot  # imported here: compiled code is half of the start time
     from station.service.solve import batched_lines, solve_lines
 
-    sublink = PAPER_SUBLINK_M if parsed.sublink is None else parsed.sublink
-    robot = load_robot(parsed.robot).robot()
+    file = load_robot(parsed.robot)
     lines = sys.stdin or io.StringIO()  # stdin is None if the shell has closed it
     # Read bytes, so that invalid UTF-8 affects only its line.
     batches = batched_lines(lines.buffer) if isinstance(lines, io.TextIOWrapper) else ([line] for line in lines)
-    for answer in solve_lines(batches, robot, sublink, parsed.exact):
+    limits = file.limits().joints
+    for answer in solve_lines(batches, file.robot(), parsed.sublink, parsed.integrator, parsed.exact, limits):
         print(answer, flush=True)  # noqa: T201
     return 0
 
@@ -235,7 +254,7 @@ def _doctor(parsed: argparse.Namespace) -> int:
     from station.cli.doctor import findings
 
     console = Console(highlight=False, soft_wrap=True)
-    for finding in findings():
+    for finding in findings(parsed.config):
         mark = "[green]ok  [/]" if finding.good else "[yellow]WARN[/]"
         console.print(f"{mark} [bold]{finding.subject}[/]: ", end="")
         console.print(finding.text, markup=False)

@@ -1,13 +1,23 @@
 """Shared parts of the commands: option types, the progress bar, and the output of results."""
 
 import argparse
+import json
 import sys
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+
+from station.jobs.dask_cluster import has_dask
+from station.jobs.processes import processors
+
+if TYPE_CHECKING:
+    from station.jobs.run_jobs import Workers
 
 #: Options without a value that may precede a command; every other option is followed by its value.
 SERVE_FLAGS = ("--no-browser", "--json")
@@ -42,6 +52,35 @@ def add_without(command: argparse.ArgumentParser) -> None:
         "--without", action="append", choices=("tracker", "sensors"),
         help="leave this device of the virtual lab out; may be repeated",
     )  # fmt: skip
+
+
+def add_workers(command: argparse.ArgumentParser) -> None:
+    """Add the options `--jobs` and `--scheduler` to a command that carries out jobs in parallel."""
+    command.add_argument(
+        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (default: one per processor)"
+    )
+    command.add_argument(
+        "--scheduler", type=_scheduler, metavar="ADDRESS",
+        help="use the Dask cluster at tcp://HOST:PORT; 'local': start a cluster on this computer",
+    )  # fmt: skip
+
+
+def _scheduler(text: str) -> str:
+    if not has_dask():
+        raise argparse.ArgumentTypeError("needs the package distributed: pip install 'ctr-station[dask]'")
+    return text
+
+
+def started_workers(parsed: argparse.Namespace, jobs: int, bar: Progress) -> "AbstractContextManager[Workers]":
+    """Start the workers that `--jobs` and `--scheduler` request, at most `jobs`; print a line above the progress bar.
+
+    Raises:
+        DaskError: no scheduler answers.
+    """
+    from station.jobs.run_jobs import start_workers
+
+    report = partial(bar.console.print, markup=False, soft_wrap=True)
+    return start_workers(min(parsed.jobs, jobs), parsed.scheduler, report)
 
 
 def progress_bar(over: float = 30.0) -> Progress:
@@ -120,10 +159,28 @@ def command_line_path(value: Path | str) -> str:
     return str(Path(value).absolute()) if isinstance(value, Path) or value.endswith(".toml") else value
 
 
-def print_result(tables: Iterable[Table], sentences: Iterable[str], folder: Path) -> None:
-    """Print the result of a command: its tables, its sentences and its folder."""
+def add_results(command: argparse.ArgumentParser, folder: str) -> None:
+    """Add the options `--out` (default: `result_folder(parsed, folder)`) and `--json` to a command with results."""
+    command.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"folder of results (default: {folder}, inside --data if given)"
+    )
+    command.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+
+
+def print_result(
+    parsed: argparse.Namespace,
+    numbers: Mapping[str, Any],
+    tables: Iterable[Table],
+    sentences: Iterable[str],
+    folder: Path,
+) -> int:
+    """Print the result of a command, with `--json` its numbers and folder as one JSON object; return 0."""
+    if parsed.json:
+        sys.stdout.write(f"{json.dumps({**numbers, 'folder': str(folder)})}\n")
+        return 0
     out = Console(highlight=False, markup=False)
     for table in tables:
         out.print(table)
     for sentence in (*sentences, str(folder)):
         out.print(sentence, soft_wrap=True)
+    return 0

@@ -5,6 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,8 @@ from station.cli.options import add_without, command_line_path, count, data_fold
 
 if TYPE_CHECKING:
     from station.experiments.experiment import Experiment
-    from station.experiments.job_pool import JobPool
     from station.experiments.output import CaseAssignment, RecordedResult
+    from station.jobs.processes import Processes
 
 
 def add(commands: "argparse._SubParsersAction[Any]") -> None:
@@ -23,7 +24,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run = commands.add_parser("run", help="run an experiment with simulated devices and print its results")
     run.add_argument("experiment", metavar="EXPERIMENT", help="name of a preset or a .toml file")
     run.add_argument(
-        "--seed", type=seed, default=0, metavar="N", help="seed of everything random in the lab (default: 0)"
+        "--seed", type=seed, default=0, metavar="N", help="seed of all random numbers of the lab (default: 0)"
     )
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of results (default: the data folder)")
     run.add_argument("--experiments", type=Path, metavar="DIR", help="folder of custom experiments")
@@ -34,7 +35,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     run.add_argument("--case", metavar="NAME", help="only this case of the experiment")
     run.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=VALUE",
-        help="another value of a key of the experiment's file, e.g. controller.k1=2.5; may be repeated",
+        help="new value of a key of the experiment's file, e.g. controller.k1=2.5; may be repeated",
     )  # fmt: skip
     run.add_argument(
         "--jobs", type=count(1024), metavar="N", help="number of parallel cases (default: one per processor)"
@@ -45,12 +46,12 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
 
 
 def _run(parsed: argparse.Namespace) -> int:
-    from station.experiments.job_pool import JobPool, processors
+    from station.jobs.processes import Processes, processors
 
-    jobs = 1 if parsed.realtime else parsed.jobs or processors()
-    if jobs == 1:
+    count = 1 if parsed.realtime else parsed.jobs or processors()
+    if count == 1:
         return _run_experiment(parsed, None)
-    with JobPool(jobs) as started:
+    with Processes(count) as started:
         # Load or compile the code of the lab and the controller while the experiment is read and checked on the model.
         from station.experiments.runner import warm_up
 
@@ -58,15 +59,15 @@ def _run(parsed: argparse.Namespace) -> int:
         return _run_experiment(parsed, started)
 
 
-def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> int:
+def _run_experiment(parsed: argparse.Namespace, started: "Processes | None") -> int:
     from station.config.strict import ConfigError, use_experiments
     from station.control.monitors import Margins, check_design
     from station.experiments.best_possible import with_bound
-    from station.experiments.case_summary import model_note
     from station.experiments.experiment import load_experiment
     from station.experiments.output import ResultFolder, result_table
     from station.experiments.saved import use_saved
     from station.experiments.sweep_plan import nested, settings
+    from station.recording.headline import headline
 
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
@@ -84,10 +85,8 @@ def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> in
     for robot in {case.robot.name: case.robot for case in experiment.cases}.values():
         if warning := check_design(robot, Margins()):
             sys.stderr.write(f"ctr-station: {warning}\n")
-    for note in dict.fromkeys(note for case in experiment.cases if (note := model_note(case))):
-        sys.stderr.write(f"ctr-station: {note}\n")
-    for text in dict.fromkeys(text for case in experiment.cases for text in case.warnings):
-        names = ", ".join(case.name for case in experiment.cases if text in case.warnings)
+    for text in dict.fromkeys(text for case in experiment.cases for text in (*case.notices, *case.warnings)):
+        names = ", ".join(case.name for case in experiment.cases if text in (*case.notices, *case.warnings))
         sys.stderr.write(f"ctr-station: {names}: {text}\n")
     folder = ResultFolder(parsed.out or data_folder(parsed), experiment, parsed.seed)
     start_time = time.perf_counter()
@@ -106,6 +105,8 @@ def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> in
             "recording": str(folder.path),
             "cases": {one.name: with_bound(one.numbers, bounds.get(one.name, {})) for one in recorded},
         }
+        first = headline(summary)
+        summary = {"headline": None if first is None else first.model_dump(), **summary}
         folder.finish(summary, [one.label for one in recorded])
     except BaseException:
         folder.abandon()
@@ -114,10 +115,12 @@ def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> in
         print(json.dumps(summary))  # noqa: T201
     else:
         out = Console(highlight=False, markup=False)
+        if first is not None:
+            out.print(str(first), soft_wrap=True)
         out.print(result_table(experiment, summary))
         speed = summary["simulated_s"] / max(summary["wall_s"], 1e-3)
         out.print(
-            f"{summary['simulated_s']:.0f} s simulated in {summary['wall_s']:.1f} s ({speed:.0f} times real time),"
+            f"{summary['simulated_s']:.0f} s simulated in {summary['wall_s']:.1f} s ({speed:.2g} times real time),"
             f" seed {parsed.seed}\n{folder.path}",
             soft_wrap=True,
         )
@@ -125,48 +128,41 @@ def _run_experiment(parsed: argparse.Namespace, started: "JobPool | None") -> in
 
 
 def _bounds(
-    experiment: "Experiment", seed: int, started: "JobPool | None"
+    experiment: "Experiment", seed: int, started: "Processes | None"
 ) -> "Mapping[str, Mapping[str, float | None]]":
-    """Return the best possible errors of the cases that have them, by case name; compute each load once."""
+    """Return the best possible errors of the cases by name; cases with equal bounds share one computation."""
     from station.experiments.best_possible import bound, cases_to_bound, has_bound, same_bound
-    from station.experiments.job_pool import run_serially
+    from station.jobs.run_jobs import run_jobs
 
-    to_compute = cases_to_bound(experiment.cases, seed)
+    jobs, found = cases_to_bound(experiment.cases, seed), dict[str, Mapping[str, float | None]]()
     with progress_bar() as bar:
-        task = bar.add_task(f"{experiment.name} bounds", total=max(1.0, len(to_compute)), visible=bool(to_compute))
-
-        def progress(parts: Sequence[float]) -> None:
-            bar.update(task, completed=sum(parts))
-
-        listed = list(to_compute.values())
-        found = (
-            started.carry_out(bound, listed, progress)
-            if started is not None
-            else run_serially(bound, listed, progress, lambda _: True)
-        )
-    by_key = dict(zip(to_compute, found, strict=False))  # after Ctrl-C the bounds of some cases are missing
+        task = bar.add_task(f"{experiment.name} bounds", total=max(1.0, len(jobs)), visible=bool(jobs))
+        run_jobs(
+            bound, jobs, started, found,
+            lambda running: bar.update(task, completed=len(found) + sum(running.values())),
+        )  # fmt: skip
+    if len(found) < len(jobs):
+        raise KeyboardInterrupt
     keys = {case.name: same_bound(case) for case in experiment.cases if has_bound(case)}
-    return {name: by_key[key] for name, key in keys.items() if key in by_key}
+    return {name: found[key] for name, key in keys.items() if key in found}
 
 
 def _run_cases(
-    name: str, assignments: Sequence["CaseAssignment"], started: "JobPool | None", *, realtime: bool
+    name: str, assignments: Sequence["CaseAssignment"], started: "Processes | None", *, realtime: bool
 ) -> list["RecordedResult"]:
     """Run each case with a progress bar; do not start another case after one that was not completed."""
-    from station.control.clock import RealClock, VirtualClock
-    from station.experiments.job_pool import run_serially
+    from station.control.clock import RealClock
     from station.experiments.output import run_recorded
+    from station.jobs.run_jobs import run_jobs
 
+    found = dict[int, "RecordedResult"]()
     with progress_bar() as bar:
         tasks = [bar.add_task(f"{name} {one.case.name}", total=1.0) for one in assignments]
 
-        def progress(parts: Sequence[float]) -> None:
-            for task, part in zip(tasks, parts, strict=True):
-                bar.update(task, completed=part)
+        def report(running: Mapping[int, float]) -> None:
+            for number, task in enumerate(tasks):
+                bar.update(task, completed=1.0 if number in found else running.get(number, 0.0))
 
-        if started is not None:
-            return started.carry_out(run_recorded, assignments, progress, lambda one: one.completed)
-        return run_serially(
-            lambda one, report: run_recorded(one, report, RealClock() if realtime else VirtualClock()),
-            assignments, progress, lambda one: one.completed,
-        )  # fmt: skip
+        work = partial(run_recorded, clock=RealClock) if realtime else run_recorded
+        run_jobs(work, dict(enumerate(assignments)), started, found, report, proceed=lambda one: one.completed)
+    return [found[number] for number in sorted(found)]

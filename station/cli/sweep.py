@@ -4,20 +4,18 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from core.errors import CtrError
-from station.cli.options import command_line_path, count, data_folder, progress_bar
-from station.experiments.job_pool import processors
+from station.cli.options import add_workers, command_line_path, count, data_folder, progress_bar, started_workers
 
 if TYPE_CHECKING:
-    from station.experiments.manifest import Manifest, Row
     from station.experiments.sweep_plan import SweepJob, SweepPlan
+    from station.jobs.manifest import Manifest, Row
 
-#: Word in place of the experiment's name that merges the parts of a sweep.
+#: Word that replaces the experiment's name on the command line to merge the parts of a sweep.
 MERGE_WORD = "merge"
 #: Largest number of parts that a sweep may be split into, for example one for each job of a cluster.
 MAX_PARTS = 100_000
@@ -35,18 +33,11 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
     sweep.add_argument("--seeds", type=count(100_000), default=20, metavar="N", help="seeds 0 ... N-1 (default: 20)")
     sweep.add_argument(
         "--set", action="append", default=[], dest="settings", metavar="KEY=A,B,C",
-        help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; repeated: all combinations",
+        help="a key of the experiment's file and its values, e.g. controller.k1=1,2.5,5; if repeated: all combinations",
     )  # fmt: skip
     sweep.add_argument("--lab", metavar="LAB", help="virtual lab instead of the experiment's: preset or .toml file")
     sweep.add_argument("--case", metavar="NAME", help="only this case of the experiment")
-    sweep.add_argument(
-        "--jobs", type=count(1024), default=processors(), metavar="N", help="processes (default: one per processor)"
-    )
-    sweep.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="execute the runs on a Dask cluster, tcp://HOST:PORT; 'local': a cluster on this computer",
-    )
+    add_workers(sweep)
     sweep.add_argument(
         "--folder", type=Path, metavar="DIR",
         help="folder of this sweep; repeating the command continues an incomplete sweep, also without this option",
@@ -70,10 +61,9 @@ def part(text: str) -> tuple[int, int]:
 
 def _sweep(parsed: argparse.Namespace) -> int:
     from station.config.strict import use_experiments
-    from station.experiments.dask_cluster import check_dask
     from station.experiments.experiment import load_experiment
-    from station.experiments.manifest import Manifest, folder_of
     from station.experiments.saved import use_saved
+    from station.experiments.sweep_folder import folder_of, sweep_manifest
     from station.experiments.sweep_plan import jobs, plan_of, settings
 
     if parsed.experiment == MERGE_WORD:
@@ -82,9 +72,7 @@ def _sweep(parsed: argparse.Namespace) -> int:
         raise SweepError(f"{parsed.parts}: a folder may only follow 'sweep merge'; name a sweep's folder with --folder")
     part, parts = parsed.part
     if parts > 1 and parsed.folder is None:
-        raise SweepError("--part needs --folder: the same one for all parts")
-    if parsed.scheduler is not None:
-        check_dask()
+        raise SweepError("--part needs --folder; give all parts the same folder")
     if parsed.experiments is not None:
         use_experiments(parsed.experiments)
     use_saved(data_folder(parsed))
@@ -93,48 +81,44 @@ def _sweep(parsed: argparse.Namespace) -> int:
     listed = jobs(parsed.experiment, settings([*parsed.settings, *lab]), range(parsed.seeds), parsed.case)
     plan = plan_of(load_experiment(parsed.experiment), listed, parts)
     folder = parsed.folder or folder_of(parsed.out or data_folder(parsed), plan)
-    with Manifest(folder, plan, part) as manifest:
-        mine = [listed[run] for run in plan.part(part)]
-        left = [job for job in mine if job.run not in manifest.rows]
-        _run_jobs(left, len(mine), manifest, parsed)
-        rows = [manifest.rows[job.run] for job in mine if job.run in manifest.rows]
-        wall = time.perf_counter() - start_time
-        made = len(rows) - (len(mine) - len(left))
-        headline = (
-            f"{len(rows)} of {len(mine)} runs{'' if made == len(rows) else f', {made} of them now,'} in {wall:.1f} s"
-        )
+    with sweep_manifest(folder, plan, part) as manifest:
+        mine = {run: listed[run] for run in plan.part(part)}
+        before = len(manifest.rows)
+        _carry_out(mine, manifest, parsed)
+        rows = [manifest.rows[run] for run in mine if run in manifest.rows]
+        wall, made = time.perf_counter() - start_time, len(rows) - before
+        now = f", {made} of them now," if before else ""
+        headline = f"{len(rows)} of {len(mine)} runs{now} in {wall:.1f} s"
         if parts == 1:
-            return _print_results(folder, manifest.plan, rows, wall, headline, as_json=parsed.json)
+            plan = plan.model_copy(update={"started": manifest.plan["started"]})
+            return _print_results(folder, plan, rows, wall, headline, as_json=parsed.json)
     return _print_part(folder, f"part {part}/{parts}: {headline}", rows, len(mine), as_json=parsed.json)
 
 
-def _run_jobs(left: "Sequence[SweepJob]", planned: int, manifest: "Manifest", parsed: argparse.Namespace) -> None:
-    """Execute the remaining runs on this computer or on a cluster, with a progress bar."""
-    from station.experiments.dask_cluster import on_dask
-    from station.experiments.sweep import on_processes
+def _carry_out(mine: "Mapping[int, SweepJob]", manifest: "Manifest[int]", parsed: argparse.Namespace) -> None:
+    """Carry out the runs that the manifest does not have, with a progress bar."""
+    from station.experiments.sweep import lost_job, run_job
+    from station.jobs.run_jobs import run_jobs
 
-    if not left:
+    left = len(mine) - len(manifest.rows)
+    if left == 0:
         return
-    done = planned - len(left)
-    with progress_bar(over=3600.0) as bar:
-        task = bar.add_task("", total=planned, completed=done)
+    with progress_bar(over=3600.0) as bar, started_workers(parsed, left, bar) as workers:
+        task = bar.add_task(parsed.experiment, total=len(mine), completed=len(manifest.rows))
 
-        def progress(parts: float) -> None:
-            name = f"{parsed.experiment} {len(manifest.rows)} of {planned}"
+        def report(running: Mapping[int, float]) -> None:
+            done = len(manifest.rows)
             bad = sum(not row["completed"] for row in manifest.rows.values())
-            bar.update(task, completed=done + parts, description=f"{name}, {bad} failed" if bad else name)
+            name = f"{parsed.experiment} {done} of {len(mine)}"
+            bar.update(
+                task, completed=done + sum(running.values()), description=f"{name}, {bad} failed" if bad else name
+            )
 
-        progress(0.0)
-        if parsed.scheduler is None:
-            on_processes(left, parsed.jobs, manifest.append, progress)
-        else:
-            workers = min(parsed.jobs, len(left))
-            log = partial(bar.console.print, markup=False, soft_wrap=True)
-            on_dask(left, parsed.scheduler, workers, manifest.append, progress, log)
+        run_jobs(run_job, mine, workers, manifest, report, lost=lost_job)
 
 
 def _merge(parsed: argparse.Namespace) -> int:
-    from station.experiments.manifest import merged
+    from station.experiments.sweep_folder import merged
 
     folder = parsed.parts or parsed.folder
     if folder is None:

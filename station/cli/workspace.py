@@ -1,13 +1,10 @@
 """The command `workspace`: analyse reach, dexterity, stiffness and stability of a robot over its joint space."""
 
 import argparse
-import json
-import sys
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
-from station.cli.options import count, number_between, print_result, progress_bar, result_folder, seed
+from station.cli.options import add_results, count, number_between, print_result, progress_bar, result_folder, seed
 
 #: Largest absolute value of a component of the tip force that the option `--force` accepts [N].
 MAX_FORCE_N = 100.0
@@ -27,10 +24,7 @@ def add(commands: "argparse._SubParsersAction[Any]") -> None:
         "--poses", type=count(1_000_000), default=20_000, metavar="N", help="number of poses (default: 20000)"
     )
     workspace.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of the poses (default: 0)")
-    workspace.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of results (default: workspaces, inside --data if given)"
-    )
-    workspace.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    add_results(workspace, "workspaces")
     workspace.set_defaults(command=_workspace)
 
 
@@ -54,11 +48,7 @@ def _workspace(parsed: argparse.Namespace) -> int:
         result_folder(parsed, "workspaces"), f"workspace-{_folder_part(file.name)}-{stamp:%Y%m%d-%H%M%S}"
     )
     write_workspace(folder, found, numbers)
-    if parsed.json:
-        sys.stdout.write(f"{json.dumps({**numbers, 'folder': str(folder)})}\n")
-        return 0
-    print_result([table(numbers)], sentences(numbers), folder)
-    return 0
+    return print_result(parsed, numbers, [table(numbers)], sentences(numbers), folder)
 
 
 def _folder_part(name: str) -> str:

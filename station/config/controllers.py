@@ -1,13 +1,14 @@
 """Settings of the controller in files and REST requests: strategy, gains, filters and delays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Literal, NamedTuple
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from core.control.controller_settings import Controller
-from core.control.controllers import strategy
+from core.control.controllers import INNER_LOOPS, STRATEGIES, PositionMode, Strategy, strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.null_space import NullSpaceObjective
 from core.control.observer import Observer, RateFilter
@@ -15,24 +16,15 @@ from core.control.stiffness import StiffnessFrame, TipStiffness
 from core.control.tip_direction import DEFAULT_LEVER_M, task_selection
 from core.control.tip_force import LoadEstimator
 from core.errors import DescriptionError
-from core.model.statics import (
-    MAX_SUBLINK_BEND_RAD,
-    PAPER_SUBLINK_M,
-    Integrator,
-    Statics,
-    sublink_bend,
-    suitable_integrator,
-)
+from core.model.statics import Integrator, Statics
 from core.robot.robot import Robot
+from station.config.plugins import Kind, Setup, made
 from station.config.regions import RegionFile, keep_out
 from station.config.robots import RobotFile
 from station.config.strict import NotNegative, Row, Strict
 
 #: Period of the inner loop and of the whole control loop [s].
 PERIOD_S = 0.002
-#: Time between two commands to the same axis on one line of 9600 baud [s]: for up to three axes, and the time per axis
-#: for more axes.
-COMMAND_INTERVAL_THREE_AXES_S, COMMAND_INTERVAL_PER_AXIS_S = 0.025, 0.0073
 #: Bandwidth of the force filter if the file configures none; an adaptive filter starts with this bandwidth [Hz].
 USUAL_BANDWIDTH = 1.0
 #: Largest product of observer bandwidth and command interval. The default bandwidth is limited by this product, because
@@ -43,11 +35,24 @@ MAX_BANDWIDTH_TIMES_INTERVAL = 0.05
 BANDWIDTH_FACTOR_WITHOUT_SENSORS = 1.5
 
 
-class Present(NamedTuple):
-    """Which of the devices that a bench may lack it has."""
+class StagesLatency(NamedTuple):
+    """Latency of velocities on their way to the stages; the default is that of three Zaber T-series stages on one line.
 
-    tracker: bool = True
-    sensors: bool = True
+    A velocity takes effect after `delay` and half of `interval` on average.
+    """
+
+    interval: float = 0.025  #: time between two velocities that reach the same stage [s]
+    delay: float = 0.012  #: time from sending a velocity until the motor receives it [s]
+
+
+USUAL_LATENCY = StagesLatency()
+
+
+class Present(NamedTuple):
+    """Quantities that a bench measures in addition to its joints."""
+
+    tracker: bool = True  #: the tip, with a tracker
+    sensors: bool = True  #: the whole load, with force sensors; false for a sensor on one of several tubes
 
 
 #: Inner loops that need force sensors, and those that need a tracker.
@@ -63,14 +68,20 @@ class ControllerFile(Strict):
     """Settings of the controller of the tip."""
 
     strategy: str = "dual_layer"
-    """unloaded_jacobian, loaded_jacobian, inner_loop or dual_layer"""
+    """unloaded_jacobian, loaded_jacobian, inner_loop or dual_layer; or the name of an installed outer loop"""
     inner: str = "type_1"
     """inner loop of `inner_loop` and `dual_layer`: type_1, type_1_exact or type_2; or loaded or unloaded, which do not
-    compensate the tip's motion by a changing load"""
+    compensate the tip's motion by a changing load; or the name of an installed inner loop"""
+    tasks: Annotated[tuple[str, ...], Row] = ()
+    """names of installed tasks, in addition to the tip's position"""
+    limits: Annotated[tuple[str, ...], Row] = ()
+    """names of installed limits, in addition to those of the robot"""
+    options: Mapping[str, Mapping[str, Any]] = {}
+    """keys of each installed loop, task or limit, in a table with its name"""
     k1: float = 2.5
     """gain of the measured tip in eq. (30), 0 ... 50 [1/s]"""
     k2: float = 2.5
-    """gain of the setpoint in eq. (30), 0 ... 50 [1/s]"""
+    """gain of the setpoint in eq. (30), 0 ... 50 [1/s]; the tip rests at k2 / k1 times its setpoint"""
     feedforward: bool = False
     """add the trajectory's velocity to eq. (30); without it the tip lags as in eq. (31)"""
     feedback: Literal["tracker", "observer"] = "tracker"
@@ -89,9 +100,9 @@ class ControllerFile(Strict):
     snap), `limits` (ends of travel), `order` (of the tubes)"""
     stiffness: Stiffness | None = None
     """stiffness of the tip along the axes x, y, z of `stiffness_frame`, 1 ... 10000 [N/m]; default: as stiff as the
-    joints allow. The tip must be at most 5 / T times softer than the tubes along their stiffest direction, where T is
-    half of `command_interval` plus `transport_delay` plus 0.02 s; a lower stiffness is refused. While a motion runs,
-    `PUT /api/stiffness` changes these values within 1 s"""
+    joints allow. A tip more than 5 s / T times softer than the tubes along their stiffest direction is refused. T is
+    `command_interval` / 2 + `transport_delay` + 0.02 s (+ the observer's time constant without force sensors).
+    `PUT /api/stiffness` changes these values within 1 s while a motion runs"""
     stiffness_frame: StiffnessFrame = "world"
     """frame of `stiffness`: world, or tip: the frame of the tip in the loaded model, which turns with the tip. Its z is
     the tangent at the tip. Its x and y are fixed in the innermost tube, and equal those of the front plate if this tube
@@ -108,31 +119,20 @@ class ControllerFile(Strict):
     """bandwidth of the observer's bias, which corrects the model, greater than 0 [Hz]; default:
     0.05 / `command_interval`, 2 Hz at most; without force sensors 1.5 times as much"""
     command_interval: float | None = None
-    """expected time between two velocity commands to the same stage, 0 ... 1 [s]; default: what one line of 9600 baud
-    allows, 0.025 s for three axes and 0.044 s for six"""
-    transport_delay: float = 0.012
-    """expected delay from sending a command to its arrival at the motor, 0 ... 1 [s]"""
+    """expected time between two velocity commands to the same stage, 0 ... 1 [s]; default: the number of the stages'
+    driver, which `ctr-station doctor` prints; 0.025 s for three Zaber T-series stages on one line, 0.044 s for six"""
+    transport_delay: float | None = None
+    """expected delay from sending a command to its arrival at the motor, 0 ... 1 [s]; default: the number of the
+    stages' driver; 0.012 s for Zaber T-series stages on one line"""
     integrator: Integrator | None = None
-    """integrator of the model: paper or fourth_order; default: paper, or fourth_order if a tube's curvature times the
-    length of the sub-link exceeds 0.08 rad"""
+    """integrator of the model: paper or fourth_order; default: the key `integrator` of the robot's file"""
     sublink: Annotated[float, Field(ge=0.0005, le=0.05)] | None = None
-    """length of the model's sub-links [m]; default: 0.010 for the paper's integrator, 0.030 for fourth_order"""
+    """length of the model's sub-links [m]; default: 0.010 for the paper's integrator; for fourth_order at most 0.030,
+    and short enough for the robot that the tip error stays below 0.05 mm or 0.05 % of the length"""
 
     def model(self, robot: Robot) -> Statics:
-        """Return the model of a robot with the integrator that its curvature requires."""
-        kind = self.integrator or suitable_integrator(robot, self.sublink or PAPER_SUBLINK_M)
-        return Statics(robot, self.sublink, kind)
-
-    def model_note(self, robot: Robot) -> str:
-        """Return which integrator the curvature requires, and why; empty for the paper's or a configured one."""
-        sublink = self.sublink or PAPER_SUBLINK_M
-        if self.integrator is not None or suitable_integrator(robot, sublink) == "paper":
-            return ""
-        return (
-            f"model: fourth-order integrator, sub-links of {1e3 * self.model(robot).step:g} mm, because a tube of"
-            f" '{robot.name}' bends by {sublink_bend(robot, sublink):.2g} rad in {1e3 * sublink:g} mm"
-            f" (paper's integrator: up to {MAX_SUBLINK_BEND_RAD:g} rad)"
-        )
+        """Return the model of a robot with the configured integrator, or the one that suits the robot."""
+        return Statics(robot, self.sublink, self.integrator)
 
     def check_devices(self, present: Present) -> None:
         """Refuse settings whose inputs a bench does not measure.
@@ -165,8 +165,11 @@ class ControllerFile(Strict):
         robot: RobotFile,
         present: Present = Present(),  # noqa: B008 - immutable
         regions: Sequence[RegionFile] = (),
+        latency: StagesLatency = USUAL_LATENCY,
     ) -> Controller:
         """Return the controller of a robot on a bench with these devices and forbidden or allowed `regions`.
+
+        `latency` is that of the stages' driver; the keys `command_interval` and `transport_delay` override it.
 
         Raises:
             DescriptionError: the strategy or inner loop is unknown, needs a device that the bench does not have, or a
@@ -174,15 +177,12 @@ class ControllerFile(Strict):
             ConfigError: the file of a region's mesh cannot be read, or two regions have one name.
         """
         self.check_devices(present)
-        command_interval = (
-            max(COMMAND_INTERVAL_THREE_AXES_S, COMMAND_INTERVAL_PER_AXIS_S * len(robot.joints))
-            if self.command_interval is None
-            else self.command_interval
-        )
+        custom = partial(self._installed, robot.robot())
+        interval = latency.interval if self.command_interval is None else self.command_interval
         bandwidth = (
             (1.0 if present.sensors else BANDWIDTH_FACTOR_WITHOUT_SENSORS)
             * MAX_BANDWIDTH_TIMES_INTERVAL
-            / max(command_interval, COMMAND_INTERVAL_THREE_AXES_S)
+            / max(interval, USUAL_LATENCY.interval)
             if self.observer_bandwidth is None
             else self.observer_bandwidth
         )
@@ -190,12 +190,14 @@ class ControllerFile(Strict):
         moments = self.load == "wrenches" and present.sensors
         return Controller(
             self.model(robot.robot()),
-            strategy(self.strategy, self.k1, self.k2, self.feedforward, self.inner),
-            replace(limits, others=(*limits.others, *keep_out(regions))),
+            self._strategy(custom),
+            replace(
+                limits, others=(*limits.others, *keep_out(regions), *(custom("limits", name) for name in self.limits))
+            ),
             Estimator(
                 RateFilter(PERIOD_S, USUAL_BANDWIDTH if self.filter_bandwidth is None else self.filter_bandwidth),
                 Observer(PERIOD_S, bandwidth=bandwidth),
-                Actuation(PERIOD_S, command_interval, self.transport_delay),
+                Actuation(PERIOD_S, interval, latency.delay if self.transport_delay is None else self.transport_delay),
                 LoadEstimator(
                     moments,
                     adapts=moments and self.filter_bandwidth is None,
@@ -206,6 +208,7 @@ class ControllerFile(Strict):
             exact_rate=self.deflection_rate == "exact",
             differentiates=self.tip_velocity == "tracker",
             aim=task_selection(self.task, self.direction_weight),
+            tasks=tuple(custom("tasks", name) for name in self.tasks),
             null_space=NullSpaceObjective(self.null_space) if self.null_space else None,
             tracked=present.tracker,
             senses=present.sensors,
@@ -214,7 +217,31 @@ class ControllerFile(Strict):
             ),
         )
 
+    def _strategy(self, custom: Callable[[Kind, str], Any]) -> Strategy:
+        """Return the outer and the inner loop."""
+        names = {self.strategy, self.inner, *self.tasks, *self.limits}
+        if unused := sorted(self.options.keys() - names):
+            raise DescriptionError(
+                f"controller.options.{unused[0]}: this controller uses no installed code of that name"
+            )
+        inner = INNER_LOOPS[self.inner] if self.inner in INNER_LOOPS else custom("inner_loops", self.inner)
+        if self.strategy in STRATEGIES:
+            return strategy(self.strategy, self.k1, self.k2, self.feedforward, inner)
+        return Strategy(custom("outer_loops", self.strategy), inner)
 
+    def _installed(self, robot: Robot, kind: Kind, name: str) -> Any:
+        """Return the installed code `name`, made from its own keys in the file; see `plugins.made`."""
+        key, built_in = _KEYS_OF_INSTALLED[kind]
+        gains = PositionMode(self.k1, self.k2, self.feedforward)
+        setup = Setup(self.options.get(name, {}), robot, PERIOD_S, gains)
+        return made(kind, name, f"controller.{key}", setup, tuple(built_in))
+
+
+#: Key of the file and built-in names of each kind of installed code.
+_KEYS_OF_INSTALLED: dict[Kind, tuple[str, Iterable[str]]] = {
+    "outer_loops": ("strategy", STRATEGIES), "inner_loops": ("inner", INNER_LOOPS),
+    "tasks": ("tasks", ()), "limits": ("limits", ()),
+}  # fmt: skip
 #: Controller with the smallest errors in the virtual lab under all loads. The defaults above are the paper's choices.
 DEFAULT_CONTROLLER = ControllerFile(inner="type_2", feedback="observer", feedforward=True, load="wrenches")
 

@@ -6,15 +6,18 @@ and `station.lab.tip_contact` computes it together with the shape of the plant.
 
 import bisect
 import math
-from functools import lru_cache
-from typing import Annotated, Literal, NamedTuple, Self, get_args
+from collections.abc import Mapping
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from core.contract import name_of, numbers, result_of
+from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.strict import Direction, NotNegative, Row, Strict, Vector
+from station.config.plugins import Setup, made
+from station.config.strict import Direction, NotNegative, Position, Row, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
 #: Largest force of a load [N]: the base sensors saturate at 18 N, and nitinol tubes of a millimetre bear much less.
@@ -41,7 +44,7 @@ class _AtTip(Strict):
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """Times at which the constant load starts to change [s]; the first is its onset; empty: never."""
+        """Times at which the load starts to change after being constant [s]; the first is its onset; empty: never."""
         return (0.0,)
 
     @property
@@ -86,11 +89,11 @@ class ConstantLoad(_Directed):
 
 
 class SineLoad(_Directed):
-    """amplitude * sin(2 pi frequency t)."""
+    """A sinusoidal load: amplitude * sin(2 pi frequency t)."""
 
     kind: Literal["sine"] = "sine"
     amplitude: Force
-    """largest force in each direction [N]"""
+    """largest force, in both directions [N]"""
     frequency: Frequency
     """frequency of the sine wave [Hz]"""
 
@@ -125,14 +128,14 @@ class RampLoad(_Directed):
     @model_validator(mode="after")
     def _match(self) -> Self:
         if len(self.times) != len(self.magnitudes):
-            raise ValueError(f"{len(self.times)} times but {len(self.magnitudes)} magnitudes")
+            raise ValueError(f"{len(self.times)} times but {len(self.magnitudes)} magnitudes; give one for each time")
         if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
             raise ValueError("times must increase")
         return self
 
     @property
     def changes(self) -> tuple[float, ...]:
-        """Times of the points at which the constant load starts to change, or jumps from zero [s]."""
+        """Times at which the load starts to change after being constant, or jumps from zero [s]."""
         moves = [a != b for a, b in zip((0.0, *self.magnitudes), self.magnitudes, strict=False)]  # up to each point
         jump = self.times[:1] if moves[0] else ()
         corners = zip(self.times, moves, (*moves[1:], False), strict=True)
@@ -297,10 +300,10 @@ class Depth(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """Additional stiffness of an obstacle at a point of its surface, with its derivatives by the tip's position."""
+    """Additional stiffness of an obstacle at a point of its surface, and its derivatives along the surface."""
 
     stiffness: float  #: additional normal force per depth [N/m]
-    gradient: Array  #: (3,) [N/m^2]
+    gradient: Array  #: (3,) first derivative [N/m^2]
     curvature: Array  #: (3, 3) second derivative [N/m^3]
 
 
@@ -342,14 +345,14 @@ class WallLoad(_Obstacle):
     distance: Annotated[float, Field(ge=-0.05, le=0.1)] = 0.005
     """distance of the wall from the tip at the motion's start; negative if the tip starts below the surface [m]"""
     motion: Literal["sine", "heartbeat"] = "sine"
-    """motion of the wall along its normal: `sine`, or `heartbeat`, which advances during a third of each period"""
+    """motion of the wall along its normal: `sine`, or `heartbeat`: it advances and returns in 0.35 of each period"""
     amplitude: Annotated[float, Field(ge=0.0, le=0.05)] = 0.0
     """largest displacement of the moving wall, 0 for a wall at rest [m]"""
     frequency: Annotated[float, Field(ge=0.01, le=5.0)] = 0.25
     """frequency of the wall's motion [Hz]"""
     lump_stiffness: Annotated[float, Field(ge=0.0, le=1e4)] = 0.0
     """additional normal force per depth above the center of a stiff lump in the wall, 0 without a lump [N/m]"""
-    lump_center: Vector = (0.0, 0.0, 0.0)
+    lump_center: Position = (0.0, 0.0, 0.0)
     """center of the lump relative to the tip at the motion's start; only its part across `direction` counts [m]"""
     lump_radius: Annotated[float, Field(gt=0.0, le=0.1)] = 0.004
     """distance from the center at which the additional stiffness has decreased to 1 / e [m]"""
@@ -391,7 +394,7 @@ class SphereLoad(_Obstacle):
     """A soft sphere at rest, which the tip palpates from outside."""
 
     kind: Literal["sphere"] = "sphere"
-    center: Vector
+    center: Position
     """center of the sphere relative to the tip at the motion's start [m]"""
     radius: Annotated[float, Field(gt=0.0, le=0.5)]
     """radius of the sphere [m]"""
@@ -422,6 +425,32 @@ def elastic_force(obstacle: Obstacle, offset: Array) -> Array:
     return (obstacle.stiffness + spot.stiffness) * depth * normal - 0.5 * depth * depth * spot.gradient
 
 
+class InstalledLoad(_AtTip):
+    """A load of an installed package, at the tip."""
+
+    kind: Literal["installed"] = "installed"
+    name: str
+    """name of its entry point of the group ctr_station.loads"""
+    options: Mapping[str, Any] = {}
+    """keys of the installed load"""
+
+    @model_validator(mode="after")
+    def _is_installed(self) -> Self:
+        try:
+            result_of(f"load '{self.name}'", self._own.force, 0.0)
+        except CtrError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @cached_property
+    def _own(self) -> Any:
+        return made("loads", self.name, "name", Setup(self.options))
+
+    def force(self, time: float) -> Array:
+        """Return the force (3,) [N] at `time` [s] since the motion's start; zero before."""
+        return self._own.force(time) if time >= 0.0 else np.zeros(3)
+
+
 Load = Annotated[
     NoLoad
     | ConstantLoad
@@ -434,13 +463,14 @@ Load = Annotated[
     | AllAroundLoad
     | ContactLoad
     | WallLoad
-    | SphereLoad,
+    | SphereLoad
+    | InstalledLoad,
     Field(discriminator="kind"),
 ]
 
 
 #: Loads whose forces need no check: their values were checked when the load was read.
-_OWN_LOADS = frozenset(get_args(get_args(Load)[0]))
+_OWN_LOADS = frozenset(get_args(get_args(Load)[0])) - {InstalledLoad}
 
 
 def force_of(load: Load, time: float) -> Array:
@@ -451,5 +481,5 @@ def force_of(load: Load, time: float) -> Array:
     """
     if type(load) in _OWN_LOADS:
         return load.force(time)
-    who = f"load '{name_of(load)}'"
+    who = f"load '{load.name if isinstance(load, InstalledLoad) else name_of(load)}'"
     return numbers(who, "the force", result_of(who, load.force, time), (3,), "N")

@@ -1,4 +1,4 @@
-"""Motions in files and REST requests. This module checks them; `core.control.trajectories` computes them over time."""
+"""Motions in files and REST requests; those from `core.control.trajectories` are trajectories themselves."""
 
 import math
 from collections.abc import Callable
@@ -14,136 +14,38 @@ from core.control.force_control import Press, without_component
 from core.control.palpation import Palpation
 from core.control.reachability import check_pose, check_reach
 from core.control.trajectories import (
-    Circle,
-    Directions,
-    Helix,
-    Hold,
+    CircleMotion,
+    HelixMotion,
+    HoldMotion,
     JointMotion,
+    PointedMotion,
     Pressed,
     Setpoint,
-    Sinusoid,
-    Step,
+    SinusoidMotion,
+    StepMotion,
     Trajectory,
     Waypoints,
+    directions_of,
 )
 from core.errors import DescriptionError, Unreachable
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.controllers import ControllerFile
-from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector, check, read_text
-
-_Rows = tuple[tuple[float, float, float, float], ...]
+from station.config.strict import ConfigError, Direction, Position, Positive, Row, Strict, check, read_text
 
 
-class _Pointed(Strict):
-    """A motion with a desired direction of the tip, for controllers whose task includes the direction."""
-
-    directions: Annotated[tuple[Annotated[tuple[float, float, float, float], Row], ...], Field(strict=False)] = ()
-    """time [s] and the desired direction x, y, z of the tip; empty keeps the direction at the start"""
-
-    @field_validator("directions")
-    @classmethod
-    def _can_be(cls, rows: _Rows) -> _Rows:
-        try:
-            directions_of(rows)
-        except DescriptionError as error:
-            raise ValueError(str(error)) from None
-        return rows
-
-
-def directions_of(rows: _Rows) -> Directions | None:
-    """Return the direction of the tip over time; None keeps the direction at the start."""
-    return Directions(tuple(row[0] for row in rows), tuple(row[1:] for row in rows)) if rows else None
-
-
-class HoldMotion(_Pointed):
-    """Keep the tip where it is."""
-
-    kind: Literal["hold"] = "hold"
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory that the controller tracks."""
-        return Hold()
-
-
-class SinusoidMotion(_Pointed):
-    """Move the tip back and forth along a line."""
-
-    kind: Literal["sinusoid"] = "sinusoid"
-    direction: Direction = (0.0, 0.0, 1.0)
-    """direction of the line, world frame; its length does not matter"""
-    amplitude: Annotated[float, Field(gt=0.0, le=0.1)]
-    """largest displacement to either side [m]"""
-    frequency: Annotated[float, Field(gt=0.0, le=5.0)]
-    """frequency of the oscillation [Hz]"""
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory that the controller tracks."""
-        return Sinusoid(self.direction, self.amplitude, self.frequency)
-
-
-class CircleMotion(_Pointed):
-    """Move the tip along a circle through its start."""
-
-    kind: Literal["circle"] = "circle"
-    radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """radius of the circle [m]"""
-    period: Annotated[float, Field(ge=0.2, le=3600.0)]
-    """time for one turn [s]"""
-    normal: Direction = (0.0, 0.0, 1.0)
-    """axis of the circle, world frame; its length does not matter"""
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory that the controller tracks."""
-        return Circle(self.radius, self.period, self.normal)
-
-
-class HelixMotion(_Pointed):
-    """Turn the tip about an axis while it advances along it."""
-
-    kind: Literal["helix"] = "helix"
-    radius: Annotated[float, Field(gt=0.0, le=0.1)]
-    """radius of the turns [m]"""
-    pitch: Annotated[float, Field(ge=-0.1, le=0.1)]
-    """advance per turn along `axis`; a negative pitch moves against it [m]"""
-    turn: Annotated[float, Field(ge=0.2, le=3600.0)]
-    """time for one turn [s]"""
-    turns: Annotated[float, Field(gt=0.0, le=1000.0)]
-    """number of turns; after them the tip stays at the end of the helix"""
-    axis: Direction = (0.0, 0.0, 1.0)
-    """axis of the helix, world frame; its length does not matter"""
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory that the controller tracks."""
-        return Helix(self.radius, self.pitch, self.turn, self.turns, self.axis)
-
-
-class StepMotion(_Pointed):
-    """Step the desired position of the tip, to measure the step response."""
-
-    kind: Literal["step"] = "step"
-    offset: Vector
-    """offset of the second position from the tip at the start [m]"""
-    stay: Annotated[float, Field(gt=0.0, le=3600.0)] | None = None
-    """time at each of the two positions before the next step [s]; without it there is one step"""
-
-    def trajectory(self) -> Trajectory:
-        """Return the trajectory that the controller tracks."""
-        return Step(self.offset, math.inf if self.stay is None else self.stay)
-
-
-class Places(_Pointed):
-    """Waypoints with times as entered; they may be infeasible."""
+class Places(PointedMotion):
+    """Waypoints and times as a user has entered them; the tip may be unable to follow them."""
 
     points: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field(
         min_length=1, max_length=10_000, strict=False
     )
     """time [s] and offset x, y, z from the start tip [m]; the tip reaches the first point at its time"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """of the tip [m/s]"""
+    """largest speed of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip along the path through the points [m/s^2]"""
+    """largest acceleration of the tip along the path through the points [m/s^2]"""
 
     def trajectory(self) -> Waypoints:
         """Return the trajectory that the controller tracks.
@@ -173,22 +75,18 @@ class FollowMotion(Strict):
     """Keep the tip at an offset from a moving target that carries the tracker's second coil."""
 
     kind: Literal["follow"] = "follow"
-    offset: Vector | None = None
+    offset: Position | None = None
     """offset of the tip from the target [m]; default: the offset at the start"""
     predict: bool = True
-    """track the predicted position of the periodic target; otherwise its position in the newest frame"""
+    """true: track the predicted position of the target, which moves periodically; false: that of the newest frame"""
     lag: Annotated[float, Field(ge=0.0, le=0.2)] = 0.02
-    """time from the arrival of a velocity at the stages to the tip's response, in addition to the line's delays [s]"""
+    """time from the arrival of a velocity at the stages to the tip's response; the delays of the line are added [s]"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """of the tip [m/s]"""
+    """largest speed of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip [m/s^2]"""
+    """largest acceleration of the tip [m/s^2]"""
     patience: Annotated[float, Field(ge=0.25, le=60.0)] = 2.0
     """longest loss of the target [s]; a longer loss ends the run in HOLD"""
-
-    def trajectory(self) -> Trajectory:
-        """Return the start position; the target's motion is not known in advance."""
-        return Hold()
 
 
 class PressMotion(Strict):
@@ -203,7 +101,7 @@ class PressMotion(Strict):
     the compliance of the tubes along the direction and T the delay from a contact to the joints (about 0.05 s), so that
     the force at the contact exceeds F by at most a half"""
     reach: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """largest distance of the tip from its start along the direction, both ways [m]"""
+    """largest distance of the tip from its start along the direction, forward and backward [m]"""
 
     @property
     def along(self) -> Array:
@@ -219,7 +117,7 @@ class PressMotion(Strict):
         """Check that the controller can hold a force.
 
         Raises:
-            DescriptionError: it has other loops, or it also gives way to the force.
+            DescriptionError: its loops cannot hold a force, or it has a stiffness and would give way to the force.
         """
         laws = controller.strategy.laws
         if laws is None or not laws[0] == laws[1] > 0.0 or laws[3] != TYPE_2 or controller.differentiates:
@@ -241,7 +139,7 @@ class ForceMotion(PressMotion):
 
     def trajectory(self) -> Trajectory:
         """Return the trajectory that the controller tracks."""
-        return Pressed(self.path.trajectory(), self.press)
+        return Pressed(self.path, self.press)
 
 
 class PalpateMotion(PressMotion):
@@ -272,7 +170,7 @@ class PalpateMotion(PressMotion):
         if not self.force > self.light:
             raise ValueError(f"force {self.force:g} N must be greater than light {self.light:g} N")
         if np.linalg.norm(np.cross(self.across, self.along)) < 1e-3 * np.linalg.norm(self.across):
-            raise ValueError(f"across {self.across} is parallel to direction {self.direction}")
+            raise ValueError(f"across {self.across} is parallel to direction {self.direction}; choose another")
         return self
 
     @property
@@ -296,15 +194,15 @@ class PalpateMotion(PressMotion):
 
 
 class CsvMotion(Strict):
-    """Waypoints from a file; for experiment files, not over REST."""
+    """Waypoints from a CSV file; experiment files may contain this motion, REST requests may not."""
 
     kind: Literal["csv"] = "csv"
     file: str
     """name of the file, which has the columns time, x, y, z [s, m]"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """of the tip [m/s]"""
+    """largest speed of the tip [m/s]"""
     max_acceleration: Annotated[float, Field(gt=0.0, le=10.0)] = 0.1
-    """of the tip along the path through the points [m/s^2]"""
+    """largest acceleration of the tip along the path through the points [m/s^2]"""
 
     def trajectory(self) -> Trajectory:
         """Return the trajectory that the controller tracks.
@@ -403,24 +301,39 @@ PRESS_BANDWIDTH_HZ = 0.3
 
 
 def suited(file: ControllerFile, motion: Motion) -> ControllerFile:
-    """Return the controller's settings for a motion: with `PRESS_BANDWIDTH_HZ` for a force unless another is set."""
+    """Return the controller's settings for a motion; for a force without a bandwidth add `PRESS_BANDWIDTH_HZ`."""
     if not isinstance(motion, ForceMotion) or file.filter_bandwidth is not None:
         return file
     return file.model_copy(update={"filter_bandwidth": PRESS_BANDWIDTH_HZ})
 
 
+def trajectory_of(motion: TipMotion | CsvMotion) -> Trajectory:
+    """Return the trajectory that the controller tracks.
+
+    Raises:
+        ConfigError: the file of waypoints cannot be read, or is not a table of waypoints.
+    """
+    match motion:
+        case FollowMotion():
+            return HoldMotion()  # the target's motion is not known in advance
+        case WaypointsMotion() | CsvMotion() | ForceMotion() | PalpateMotion():
+            return motion.trajectory()
+        case _:
+            return motion
+
+
 class Orders:
-    """The controller's orders over the time of a motion."""
+    """Setpoints or joint velocities for the controller over the time of a motion."""
 
     def __init__(self, motion: TipMotion | CsvMotion | JointSweepMotion, robot: Robot) -> None:
-        """Raises DescriptionError when the robot has no such joint, ConfigError for an unreadable file."""
+        """Prepare the orders; raises DescriptionError for an unknown joint, ConfigError for an unreadable file."""
         self._motion = motion
         #: The target determines the desired position; `at` gives the start position only.
         self.follow = motion if isinstance(motion, FollowMotion) else None
         #: Largest desired force of the tip; None: the motion controls the position only.
         self.press = motion.press if isinstance(motion, PressMotion) else None
         self._trajectory: Trajectory | None = None
-        self._directions = directions_of(motion.directions) if isinstance(motion, _Pointed) else None
+        self._directions = directions_of(motion.directions) if isinstance(motion, PointedMotion) else None
         if isinstance(motion, JointSweepMotion):
             if motion.joint not in robot.joint_names:
                 raise DescriptionError(f"joint_sweep: '{motion.joint}' is not one of {', '.join(robot.joint_names)}")
@@ -428,7 +341,7 @@ class Orders:
             self._sweep[robot.joint_names.index(motion.joint)] = motion.speed
             self._sweep_end = motion.distance / abs(motion.speed)
         else:
-            self._trajectory = motion.trajectory()
+            self._trajectory = trajectory_of(motion)
 
     def check(
         self, controller: Controller, start: Array, duration: float, force: Callable[[float], Array] | None = None,

@@ -15,6 +15,7 @@ STEEL: Colour = (118, 133, 150)  # this grey is visible on white and on black
 GREY: Colour = (150, 158, 166)
 
 DESIRED, MEASURED, ESTIMATED, FORCE, CONTACT = GREEN, ORANGE, BLUE, PURPLE, VERMILLION
+TRUE = VERMILLION  # the true tip of a virtual lab, and its error
 TARGET = YELLOW  # the moving target that the tip follows
 #: Colours of the tubes, innermost first; robots with more tubes repeat these colours.
 TUBES: tuple[Colour, ...] = (SKY, STEEL, YELLOW, SLATE)

@@ -1,17 +1,21 @@
 """Tables `[[keep_out]]`: regions of the workspace that the tubes must not enter, or must not leave."""
 
+import hashlib
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from core.errors import CtrError
+from core.robot.closed_surface import ClosedSurface, closed_surface
 from core.robot.keep_out import KeepOut
-from core.robot.regions import Mesh, Region, mesh
+from core.robot.regions import Mesh, Region
 from core.robot.robot import Base
 from station.config.strict import ConfigError, Direction, Positive, Row, Strict, Vector
 
@@ -30,7 +34,7 @@ class _RegionFile(Strict):
     """true: the tubes must stay inside the region, for example in a lumen"""
 
     def numbers(self) -> tuple[float, ...]:
-        """Return the numbers of `Region`."""
+        """Return the numbers that define the region, as `Region` expects them."""
         return ()
 
     def surface(self) -> Mesh | None:
@@ -105,22 +109,42 @@ class MeshRegion(_RegionFile):
 
     kind: Literal["mesh"] = "mesh"
     file: Annotated[str, Field(min_length=1, max_length=500)]
-    """file of the surface, relative to this file"""
+    """file of the surface, relative to this file; a station reads it once, at its start"""
     scale: Positive = 0.001
-    """length of the file's unit; most files are in millimetres [m]"""
+    """length of one unit of the file; the default is for files in millimetres [m]"""
     position: Point = (0.0, 0.0, 0.0)
     """position of the file's origin, world frame [m]"""
     rotation_vector: Vector = (0.0, 0.0, 0.0)
     """rotation of the file's axes: axis times angle [rad]"""
 
+    _read: "MeshFile | None" = PrivateAttr(None)
+
     def surface(self) -> Mesh:
         """Return the mesh in the world frame; raises ConfigError."""
-        path = Path(self.file)
-        try:
-            changed = path.stat().st_mtime_ns
-        except OSError as error:
-            raise ConfigError(f"region '{self.name}': {path}: cannot be read: {error.strerror}") from None
-        return _mesh(path, changed, self.scale, self.position, self.rotation_vector)
+        return self.content.mesh
+
+    @property
+    def content(self) -> "MeshFile":
+        """The file's content: as it was read by `read_regions`, otherwise as it is now; raises ConfigError."""
+        return self._read or _read_mesh(self)
+
+    def read(self) -> Self:
+        """Return this region with its file's content, so that later changes of the file do not change the region.
+
+        Regions with the same keys are equal if their files had the same content. Raises ConfigError.
+        """
+        found = self.model_copy()
+        found._read = self.content
+        return found
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """Content of a mesh's file."""
+
+    mesh: Mesh = field(compare=False, repr=False)  #: world frame [m]
+    sha256: str  #: hash of the file
+    turned: int  #: number of triangles that faced inward in the file
 
 
 RegionFile = Annotated[
@@ -130,26 +154,81 @@ RegionFile = Annotated[
 Regions = Annotated[tuple[RegionFile, ...], Row, Field(max_length=20)]
 
 
-@lru_cache(maxsize=8)
-def _mesh(
-    path: Path, _changed: int, scale: float, position: tuple[float, float, float], turn: tuple[float, float, float]
-) -> Mesh:  # fmt: skip
-    """Return the mesh of a file that was last changed at `_changed` [ns], so that an edited file is read again."""
+#: Largest file of a mesh [bytes]; the largest number of triangles in text takes 30 MB.
+MAX_FILE_BYTES = 100_000_000
+#: File formats of meshes.
+FORMATS = ("stl", "ply", "obj")
+
+
+def _read_mesh(region: MeshRegion) -> MeshFile:
+    """Return the content of a region's file.
+
+    Raises:
+        ConfigError: the file cannot be read, or is not a closed surface of a plausible size.
+    """
+    path, name = Path(region.file), f"region '{region.name}': {region.file}"
+    kind = path.suffix.lower().removeprefix(".")
+    try:
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"{name}: not a file; give an STL, PLY or OBJ file")
+        if (size := path.stat().st_size) > MAX_FILE_BYTES:
+            raise ConfigError(
+                f"{name}: {size / 1e6:.0f} MB is above {MAX_FILE_BYTES / 1e6:.0f} MB; reduce its triangles"
+            )
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be read: {error.strerror}") from None
+    try:
+        found = _surface(content, kind, region.scale, region.position, region.rotation_vector)
+    except CtrError as error:
+        raise ConfigError(f"{name}: {error}") from None
+    return MeshFile(found.mesh, hashlib.sha256(content).hexdigest(), found.turned)
+
+
+@lru_cache(maxsize=4)  # the cases of an experiment often have the same mesh
+def _surface(
+    content: bytes, kind: str, scale: float, position: tuple[float, float, float], turn: tuple[float, float, float]
+) -> ClosedSurface:
+    """Return the surface of a file's content, in the world frame.
+
+    Raises:
+        ConfigError, DescriptionError: the content is not a closed surface of a plausible size.
+    """
     import trimesh  # only for meshes, because its import takes a second
 
     try:
-        read = trimesh.load(path, force="mesh")
+        if kind not in FORMATS:
+            raise ValueError(f"the file name must end in one of {', '.join(FORMATS)}")
+        read = trimesh.load(BytesIO(content), file_type=kind, force="mesh", process=False)
+        corners = np.asarray(getattr(read, "triangles", ()), np.float64)
+        if not len(corners):
+            raise ValueError("it has no triangles")
     except Exception as error:  # each format's reader raises its own errors
-        raise ConfigError(f"{path}: not a surface that can be read (STL, PLY, OBJ): {error}") from None
-    if not isinstance(read, trimesh.Trimesh) or not read.is_watertight:
-        raise ConfigError(f"{path}: the surface is not closed; repair its holes, for example in MeshLab")
-    if read.volume < 0.0:
-        read.invert()
-    base = Base(position, turn)
-    try:
-        return mesh(scale * np.asarray(read.triangles, np.float64) @ base.rotation.T + np.array(position))
-    except CtrError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ConfigError(f"not a surface that can be read (STL, PLY, OBJ): {reason[:200]}") from None
+    with np.errstate(over="ignore", invalid="ignore"):
+        placed = scale * corners @ Base(position, turn).rotation.T + np.array(position)
+    return closed_surface(placed)
+
+
+def read_regions(regions: Sequence[RegionFile]) -> tuple[RegionFile, ...]:
+    """Return regions with the content of their files, which are read once; raises ConfigError."""
+    return tuple(one.read() if isinstance(one, MeshRegion) else one for one in regions)
+
+
+def mesh_warnings(regions: Sequence[RegionFile]) -> tuple[str, ...]:
+    """Return a warning for each region whose file has triangles that face inward; raises ConfigError."""
+    return tuple(
+        f"region '{one.name}': {found.turned} of {len(found.mesh.triangles)} triangles of {one.file} face inward and"
+        " were turned outward; check the region in the scene, or export the file again"
+        for one in regions
+        if isinstance(one, MeshRegion) and (found := one.content).turned
+    )
+
+
+def mesh_hashes(regions: Sequence[RegionFile]) -> dict[str, str]:
+    """Return the SHA-256 of the file of each mesh by the name of its region; raises ConfigError."""
+    return {one.name: one.content.sha256 for one in regions if isinstance(one, MeshRegion)}
 
 
 def keep_out(regions: Sequence[RegionFile]) -> tuple[KeepOut, ...]:

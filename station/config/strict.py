@@ -4,17 +4,24 @@ An error message names the file, the key, the value and what was expected. Value
 """
 
 import json
-import math
 import os
 import re
 import tomllib
+import unicodedata
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from core.errors import CtrError
+from core.strict import Direction as Direction  # the alias marks what other modules import from here
+from core.strict import NotNegative as NotNegative
+from core.strict import Position as Position
+from core.strict import Positive as Positive
+from core.strict import Row as Row
+from core.strict import Strict as Strict
+from core.strict import Vector as Vector
 
 _TABLE = re.compile(r"\[(\[?)\s*([^\[\]]+?)\s*\]?\]\s*(?:#.*)?")
 _KEY = re.compile(r"\s*((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=(.*)")
@@ -118,32 +125,27 @@ class ConfigError(CtrError):
     """An invalid configuration, refused before anything starts."""
 
 
-class Strict(BaseModel):
-    """Base of every configuration model: frozen, no unknown key, no NaN, no infinity, no text for a number."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
-
-
-Positive = Annotated[float, Field(gt=0.0)]
-NotNegative = Annotated[float, Field(ge=0.0)]
-# Files and requests have arrays where the models have tuples; their items are still checked strictly.
-Row = Field(strict=False)
-Vector = Annotated[tuple[float, float, float], Row]
 Model = TypeVar("Model", bound=BaseModel)
 
 
-def _has_length(direction: tuple[float, float, float]) -> tuple[float, float, float]:
-    if not 1e-9 <= math.hypot(*direction) <= 1e9:
-        raise ValueError("a direction needs a length, 1e-9 ... 1e9")
-    return direction
+def has_control_characters(text: str) -> bool:
+    """Return whether a text has line breaks or other control characters, which a one-line text must not have."""
+    return any(unicodedata.category(letter) in ("Cc", "Zl", "Zp") for letter in text)
 
 
-#: Direction in the world frame; its length does not matter, but must not be zero.
-Direction = Annotated[Vector, AfterValidator(_has_length)]
+def _is_line(text: str) -> str:
+    if has_control_characters(text):
+        raise ValueError("line breaks and other control characters are not allowed; remove them")
+    return text
+
+
+#: Text for a line of a terminal, a log or a table.
+Line = Annotated[str, AfterValidator(_is_line)]
+
+
 #: Name of a tube, joint or case; it is used in column and file names.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]*$", max_length=60)]
+
 
 #: Format of robot, station, lab and experiment files. It increases when an older ctr-station would misread a new file.
 FORMAT = 1
@@ -154,13 +156,6 @@ PRESETS = Path(__file__).parent / "presets"
 
 #: Largest number of errors that are reported for one file or request; further errors are only counted.
 MAX_REPORTED_ERRORS = 6
-#: Keys of earlier versions and their present names. A file with an old key is refused with the new name.
-RENAMED_KEYS = {
-    "controller.hold": "controller.command_interval",
-    "controller.transport": "controller.transport_delay",
-    "controller.spare": "controller.null_space",
-    "hidden.coil_askew": "hidden.coil_misalignment",
-}
 #: Environment variable with the folder of custom experiments; child processes inherit it.
 EXPERIMENTS_VARIABLE = "CTR_STATION_EXPERIMENTS"
 
@@ -178,14 +173,29 @@ def use_experiments(folder: Path) -> None:
 
 def preset_names(kind: str) -> list[str]:
     """Return the names of the presets of a kind (`robots`, `labs`, `experiments`), with custom experiments."""
-    return sorted(_presets(kind))
+    return sorted(_presets(kind), key=_natural)
+
+
+def _natural(name: str) -> list[str | int]:
+    """Return a key that sorts names with numbers by these numbers: fig3 before fig10."""
+    return [int(part) if number % 2 else part for number, part in enumerate(re.split(r"([0-9]+)", name))]
+
+
+def is_shipped_preset(kind: str, name: str) -> bool:
+    """Return whether a preset belongs to this package, not to a folder of the user.
+
+    Raises:
+        ConfigError: there is no preset of this name.
+    """
+    return _preset(kind, name).is_relative_to(PRESETS)
 
 
 def _presets(kind: str) -> dict[str, Path]:
     """Return files by name; a custom experiment replaces the station's one with the same name."""
     found = {path.stem: path for path in (PRESETS / kind).glob("*.toml")}
     if kind == "experiments" and (own := os.environ.get(EXPERIMENTS_VARIABLE)):
-        found |= {path.stem: path for path in Path(own).glob("*.toml")}
+        mine = (path for path in Path(own).glob("*.toml") if not has_control_characters(path.stem))
+        found |= {path.stem: path for path in mine}
     return found
 
 
@@ -200,9 +210,15 @@ def preset(kind: str, name: str) -> Path:
         if not own.is_file():
             raise ConfigError(f"{own}: no such file")
         return own
+    if not (path := _preset(kind, name)).is_file():  # for example a FIFO, which would block its reader
+        raise ConfigError(f"{path}: not a file")
+    return path
+
+
+def _preset(kind: str, name: str) -> Path:
     presets = _presets(kind)
     if name not in presets:
-        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(sorted(presets))}; or give a .toml file")
+        raise ConfigError(f"'{name}' is not one of the {kind}: {', '.join(preset_names(kind))}; or give a .toml file")
     return presets[name]
 
 
@@ -244,7 +260,7 @@ def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
     """Return the file's text without a byte order mark.
 
     Raises:
-        refused: the exception class of this argument; the file is unreadable or not UTF-8.
+        refused: the file is unreadable or not UTF-8; the argument is the class of this exception.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -305,11 +321,6 @@ def check(
     raise ConfigError(f"{source}: {'; '.join(text + line_reference(lines, text, within) for text in messages)}")
 
 
-def explain_errors(error: ValidationError, table: Mapping[str, Any]) -> str:
-    """Return pydantic's errors about `table` in one line: keys, values and what was expected."""
-    return "; ".join(error_lines(error.errors(include_url=False), lambda loc: key_of(loc, table)))
-
-
 def error_lines(
     errors: Sequence[Any], key: Callable[[tuple[int | str, ...]], str], what: str = "key"
 ) -> tuple[str, ...]:
@@ -332,8 +343,7 @@ def error_lines(
 
 def _error_line(one: Any, key: str, what: str) -> str:
     if one["type"] == "extra_forbidden":
-        renamed = next((new for old, new in RENAMED_KEYS.items() if f".{key}".endswith(f".{old}")), "")
-        return f"unknown {what} '{key}'" + (f": use '{renamed}', its new name" if renamed else "")
+        return f"unknown {what} '{key}'"
     if one["type"] == "missing":
         return f"'{key}' is missing"
     text = str(one.get("ctx", {}).get("error", one["msg"]))
@@ -342,7 +352,7 @@ def _error_line(one: Any, key: str, what: str) -> str:
 
 
 def key_of(loc: tuple[int | str, ...], table: Any) -> str:
-    """Return the key as the file has it, without the `kind` that pydantic adds."""
+    """Return the key as it is written in the file, without the `kind` that pydantic adds."""
     parts: list[str] = []
     for number, part in enumerate(loc):
         if isinstance(table, Mapping) and part in table:

@@ -1,4 +1,4 @@
-"""Formats numbers for people: millimetres and degrees with few digits. Files and requests use SI units."""
+"""Formatting of numbers for people: millimetres and degrees with few digits. Files and requests use SI units."""
 
 import math
 import re

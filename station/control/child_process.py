@@ -11,6 +11,7 @@ import gc
 import math
 import multiprocessing
 import os
+import select
 import signal
 import time
 from collections.abc import Callable
@@ -27,6 +28,13 @@ from station.control.ring import STATION_HEARTBEAT, Ring
 EXIT_TIME = 5.0
 #: Interval between two polls of the exit status [s].
 EXIT_INTERVAL = 1e-3
+
+
+def takes_message(pipe: Connection) -> bool:
+    """Return whether a small message can be sent through a pipe now, without waiting for the reader."""
+    poller = select.poll()
+    poller.register(pipe.fileno(), select.POLLOUT)
+    return bool(poller.poll(0))
 
 
 class ChildProcess:
@@ -46,7 +54,7 @@ class ChildProcess:
         self.pipe, end = context.Pipe()  #: end of the pipe to the child; readable when the child has sent a message
         target, given = main, (*arguments, end, os.getpid())
         if context.get_start_method() == "fork":
-            resource_tracker.ensure_running()  # the child shares it
+            resource_tracker.ensure_running()  # the child shares this tracker process
             target, given = _forked, (_open_descriptors(), main, *given)
         self._process = context.Process(target=target, args=given, name=name, daemon=daemon)
         # Ctrl-C in a terminal sends SIGINT to the whole process group, but the parent decides when the child ends. So
@@ -119,7 +127,7 @@ def _open_descriptors() -> set[int]:
     """Return the file descriptors of this process (Linux)."""
     found = set[int]()
     for file in list(Path("/proc/self/fd").iterdir()):
-        with contextlib.suppress(OSError):  # the descriptor with which this function has read the list
+        with contextlib.suppress(OSError):  # skip the descriptor with which this function read the list
             os.fstat(int(file.name))
             found.add(int(file.name))
     return found
@@ -138,9 +146,9 @@ def _forked(inherited: set[int], main: Callable[..., None], *arguments: Any) -> 
             signal.signal(number, signal.SIG_DFL)
     kept = {0, 1, 2, resource_tracker.getfd()}
     kept |= {one.fileno() for one in arguments if isinstance(one, Connection)}
-    # An open copy of a socket would keep the station's port busy after the station's end, and a copy of a pipe's other
-    # end would hide this end. The numbers stay in use, because objects of the parent, which nothing uses here, may
-    # close them at any time.
+    # An open copy of a socket would keep the station's port busy after the station's end, and a copy of a pipe would
+    # hide from its reader that the station has ended. The numbers stay in use, because unused objects of the parent
+    # may close them at any time.
     nothing = os.open(os.devnull, os.O_RDWR)
     for descriptor in inherited - kept:
         os.dup2(nothing, descriptor, inheritable=False)

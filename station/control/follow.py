@@ -23,8 +23,6 @@ TARGET_LOST_S = 0.25
 #: Time without a tracker frame of the target after which the predictors restart [s].
 TARGET_FORGOTTEN_S = 5.0
 
-_ZERO = np.zeros(3)
-
 
 class Following(NamedTuple):
     """Parameters of a run that follows the target."""
@@ -35,6 +33,17 @@ class Following(NamedTuple):
     lead_time: float  #: time from a command to its effect at the tip [s]
     origin: Array  #: (3,) tip at the start, origin of the setpoints [m]
     offset: Array  #: (3,) desired position of the tip relative to the target [m]
+
+
+class TargetValues(NamedTuple):
+    """Values of the target that telemetry records; None: unknown."""
+
+    new: bool = False  #: whether a new frame of the target has arrived
+    followed: bool = False  #: whether the tip follows the target
+    measured: Array | None = None  #: (3,) target in its last frame [m]
+    predicted: Array | None = None  #: (3,) target now, predicted from its frames [m]
+    offset: Array | None = None  #: (3,) tip minus target while it is followed [m]
+    true: Array | None = None  #: (3,) true target of a virtual lab [m]
 
 
 class TargetTrack:
@@ -71,8 +80,8 @@ class TargetTrack:
             return ""
         if np.isinf(self._last_frame):
             return (
-                f"the target was not measured yet (more than {TARGET_LOST_S:g} s); name its coil in"
-                " devices.tracker.target, or bring it into the tracker's volume"
+                "the target was not measured yet; name its coil in devices.tracker.target, or bring it into the volume"
+                " of the tracker"
             )
         return (
             f"the target was not measured for {self._now - self._last_frame:.1f} s (more than {TARGET_LOST_S:g} s);"
@@ -123,17 +132,14 @@ class TargetTrack:
         """End the motion that follows the target."""
         self._following = None
 
-    def numbers(self, truth: GroundTruth | None) -> Array | None:
-        """Return the target's values in a row of telemetry (14,); None if no target is known."""
-        if not self._known and (truth is None or truth.target is None):
-            return None
-        flags, measured, predicted = (0.0, 0.0), _ZERO, _ZERO
-        if self._known:
-            flags = float(self._new), float(self._following is not None)
-            measured, predicted = (self._target_at(self._now, predicted=way).position for way in (False, True))
-        offset = _ZERO if self._following is None else self._following.offset
-        true = _ZERO if truth is None or truth.target is None else truth.target
-        return np.concatenate((flags, measured, predicted, offset, true))
+    def values(self, truth: GroundTruth | None) -> TargetValues | None:
+        """Return the target's values in a row of telemetry; None if no target is known."""
+        true = None if truth is None else truth.target
+        if not self._known:
+            return None if true is None else TargetValues(true=true)
+        measured, predicted = (self._target_at(self._now, predicted=way).position for way in (False, True))
+        offset = None if self._following is None else self._following.offset
+        return TargetValues(self._new, offset is not None, measured, predicted, offset, true)
 
     def _target_at(self, time: float, *, predicted: bool = True) -> TargetState:
         return self._predictors[predicted].at(self._known[predicted], time)

@@ -4,20 +4,31 @@ The loop owns the station's state, the tare and the progress of a run; the contr
 has no clock: its caller passes the time, real or virtual.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from core.control.controller_settings import Controller
+from core.control.force_control import CONTACT
 from core.control.step import ControllerState, Sample, restart_setpoints_here, set_origin, start_controller, step
 from core.control.stiffness import StiffnessRamp
+from core.control.tip_residual import FACTOR
 from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.contact_start import contact_start
 from station.control.follow import TargetTrack
+from station.control.force_zero import (
+    ForceZero,
+    after_tare,
+    contact,
+    doubted,
+    first_zero,
+    removed_force,
+    still_pressing,
+)
 from station.control.monitors import (
     EVENT_BY_SEVERITY,
+    ForceMonitor,
     Margins,
     ProgressMonitor,
     SnapMonitor,
@@ -30,18 +41,18 @@ from station.control.task import (
     AVERAGE_S,
     FREEZE_AFTER_S,
     SETTLE_S,
-    Jog,
+    JogMotion,
+    JogSpace,
     MotionTask,
     Phase,
     Progress,
     SettlePhase,
-    Space,
     StreamedMotion,
     StreamLimits,
     StreamRequest,
     TimedMotion,
 )
-from station.control.telemetry import Channels
+from station.control.telemetry import Channels, TickRecord
 from station.devices.interfaces import (
     Condition,
     DeviceFault,
@@ -63,6 +74,11 @@ NO_STIFFNESS = (
     "the stiffness of the tip can be changed only while a motion runs that was started with 'stiffness' in its"
     " controller"
 )
+#: Warning after the learned residual was switched off.
+RESIDUAL_OFF = (
+    "the learned residual is switched off, because the tracker shows a smaller error without it: check the tracker, or"
+    " repeat 'calibrate residual'"
+)
 #: Interval between two attempts to connect a tracker whose port is missing [s].
 RECONNECT_INTERVAL_S = 1.0
 
@@ -70,10 +86,19 @@ RECONNECT_INTERVAL_S = 1.0
 class ControlLoop:
     """Control loop of one bench: its state, its commands and its tick."""
 
-    def __init__(self, controller: Controller, devices: Devices, margins: Margins | None = None) -> None:
-        self.controller = controller
+    def __init__(
+        self,
+        controller: Controller,
+        devices: Devices,
+        margins: Margins | None = None,
+        watched: Callable[[Controller], Controller] = lambda controller: controller,
+    ) -> None:
+        """Prepare a loop that is OFF; `watched` returns a controller with timing around its custom loops."""
+        self._watched, self.controller = watched, watched(controller)
+        self.run = 0  #: number of the run whose task is in progress or was the last one; 0: none
         self.devices = devices
         self.state = State.OFF
+        self._time = 0.0  # time of the last tick [s]
         self._causes = StopReasons()
         self.progress: Progress | None = None  #: progress of the active task; None without a task
         self.channels = Channels(controller.statics.robot)
@@ -81,23 +106,38 @@ class ControlLoop:
         self._memory: ControllerState | None = None
         self._row: Array | None = None
         self._troubles = devices.no_fault
-        self._jog: Jog | None = None
+        self._jog: JogMotion | None = None
         self._after_homing: MotionTask | None = None  # task to start after homing
         self._motion: TimedMotion | StreamedMotion | TargetTrack | None = None  # motion of the task in progress
         self._stiffness: StiffnessRamp | None = None  # change of the stiffness in the task in progress
         self._tare: Array | None = None
+        self._tared = False  # whether the sensors have been tared since the last connection
+        self._zero: ForceZero | None = None  # zero of the force; None: no force is known
+        self._moved = False  # whether anything has moved since the first reading
+        self._overload = ForceMonitor()
+        self._pressed: Array | None = None  # force (3,) of a press that has not left its obstacle [N]
+        self._untouched = False  # whether a person has confirmed that nothing touches the robot during the tare
+        self.contact = ""  #: why the tip may have contact after the last motion, tare or reset; empty without contact
         self._rest: SettlePhase | None = None  # measurement at rest, before a motion or for a requested tare
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
         self._target = TargetTrack()
         self._contact_start = 0.0  # start of the contact of a tip that holds a force [s]; 0 without contact
-        self._no_wrenches = np.zeros((len(controller.statics.robot.tubes), 6))  # of a bench without force sensors
+        self._no_wrenches = controller.no_zeros  # readings of a bench without force sensors
 
     @property
     def cause(self) -> str:
         """Causes of HOLD, STOPPED or FAULT: the first cause since the last reset, then later causes."""
         return str(self._causes)
+
+    @property
+    def warning(self) -> str:
+        """Warning about the controller's model; empty without one."""
+        if self._memory is None or self.controller.estimator.residual is None:
+            return ""
+        known = self._memory.estimate.known
+        return RESIDUAL_OFF if known.residual_state[FACTOR] < 1.0 else ""
 
     @property
     def cause_details(self) -> str:
@@ -110,6 +150,11 @@ class ControlLoop:
         if self._jog is not None:
             return Phase.JOGGING
         return self.progress.phase if self.progress else Phase.NONE
+
+    @property
+    def total_force(self) -> Array | None:
+        """Mean force on the tip (3,) with what tares removed, compared with its bound [N]; None: unknown."""
+        return self._overload.force
 
     def part_done(self, now: float) -> float:
         """Return the completed fraction of the run's motion, 0 ... 1."""
@@ -156,6 +201,7 @@ class ControlLoop:
             self.request(Transition.RESET)
             self._connect(now)
             return
+        self.contact = self._contact(now)
         wrong = [
             device
             for kind, device in self.devices.by_kind.items()
@@ -169,14 +215,16 @@ class ControlLoop:
         """Home every stage, then start the task `then`; a person has confirmed that the travel is clear.
 
         Raises:
-            RefusedError: the state is neither CONNECTED nor READY.
+            RefusedError: the state is neither CONNECTED nor READY, or the tip has contact.
             CtrError: the stages cannot home.
         """
         next_state(self.state, Transition.HOME)
+        self._refuse_contact(now)
+        self._end_rest()
+        self._moved = True
         self.devices.stages.home(now)
-        self._rest = None
         self.request(Transition.HOME)
-        self._after_homing = then
+        self._after_homing, self.run = then, 0 if then is None else then.run
 
     def stop(
         self,
@@ -193,50 +241,93 @@ class ControlLoop:
         """Start a task: approach the start pose, rest to tare the sensors and measure the tip, then execute the motion.
 
         Raises:
-            RefusedError: the state is not READY, or the target to follow is not measured.
+            RefusedError: the state is not READY, the target to follow is not measured, the force on the tip is above
+                its bound, or the tip has contact, which the tare of the task would hide.
         """
+        next_state(self.state, Transition.START)
         if task.follow is not None and self._target.missing:
             raise RefusedError(self._target.missing)
+        if excess := self._overload.begin(jog=False):
+            raise RefusedError(excess)
+        if task.rests and not task.loaded:
+            self._refuse_contact(self._time)
         self.request(Transition.START)
+        task = replace(task, controller=self._watched(task.controller))
+        self.run = task.run
         self._target.end()
-        self.controller, self._rest, self._stiffness = task.controller, None, None
+        self._end_rest()
+        self.controller, self._stiffness, self.contact = task.controller, None, ""
         self.progress = Progress(task, Phase.APPROACHING)
         self._snap = self._snap_monitor(task.margins or self._margins)
 
     def _snap_monitor(self, margins: Margins) -> SnapMonitor:
-        return SnapMonitor(margins, self.controller.statics.robot.joint_names)
+        return SnapMonitor(margins, self.controller, knows_force=self.controller.senses)
 
-    def tare(self, now: float) -> None:
+    def tare(self, now: float, *, untouched: bool = False) -> None:
         """Tare the force sensors with the mean of their next readings.
 
-        Raises:
-            RefusedError: the bench has no force sensors, or the state is not READY, so the robot may move.
-        """
-        if self.devices.sensors is None:
-            raise RefusedError("'tare' is not possible: this bench has no force sensors")
-        if self.state is not State.READY:
-            raise RefusedError(f"'tare' is not possible while {self.state.name}; it needs READY")
-        self._rest = SettlePhase(now)
+        With `untouched` a person confirms that nothing touches the robot, so the tare may remove any force. On a bench
+        without sensors it then sets the force from the deflection to zero.
 
-    def jog(self, now: float, space: Space, velocity: Array) -> None:
-        """Start or renew a jog, which ends when it is not renewed within `JOG_TIMEOUT_S`.
+        Raises:
+            RefusedError: the bench has no force sensors for the whole load, or the tip has contact.
+        """
+        if not self.controller.senses and not (untouched and self._zero is not None):
+            instead = "" if self._zero is None else "; with 'untouched' it sets the force from the deflection to zero"
+            raise RefusedError(f"'tare' is not possible: this bench has no force sensors for the whole load{instead}")
+        if not untouched:
+            self._refuse_contact(now)
+        self._rest, self._untouched = SettlePhase(now), untouched
+
+    def _refuse_contact(self, now: float) -> None:
+        self.contact = self._contact(now)
+        if self.contact:
+            raise RefusedError(self.contact)
+
+    def _contact(self, now: float) -> str:
+        """Return why the tip may have contact; empty without contact and while no force is known."""
+        zero, memory, total = self._zero, self._memory, self._overload.force
+        if zero is None or memory is None or total is None:
+            return ""
+        loaded = memory.estimate.loaded
+        removed = removed_force(self.controller, zero, loaded)
+        if self._pressed is not None:
+            if pressing := still_pressing(self._pressed, total - removed):
+                return pressing
+            self._pressed = None
+        return contact(self.controller, zero, total - removed, removed, loaded.joints, now)
+
+    def _end_rest(self) -> None:
+        """End an unfinished tare before a motion; if nothing has moved so far, its readings become the zero."""
+        rest, self._rest = self._rest, None
+        if rest is not None and rest.counted and not self._moved and self.controller.senses and self._zero is not None:
+            free = self.controller.tare(rest.wrenches, self._zero.joints)
+            self._zero = replace(self._zero, free=free)
+
+    def jog(self, now: float, space: JogSpace, request: Array) -> None:
+        """Start or renew a jog, which ends if it is not renewed within `JOG_TIMEOUT_S`.
 
         Args:
             now: time [s].
-            space: what `velocity` moves; see `Space`.
-            velocity: (n,) [rad/s or m/s] of the joints, (3,) [m/s] of the tip, or (3,) [rad/s] of its direction.
+            space: what the request moves, see `Space`; or 'pose'.
+            request: velocity (n,) [rad/s or m/s] of the joints, (3,) [m/s] of the tip, or (3,) [rad/s] of its
+                direction; for 'pose', joint positions (n,) [rad or m] to which the joints move and where they rest.
 
         Raises:
             RefusedError: the state is not READY, or the jog turns a direction that is not controlled.
+            ContractError: a custom loop cannot be reset.
         """
-        if self._jog is not None and self._jog.renew(space, velocity, now):
+        if self._jog is not None and self._jog.renew(space, request, now):
             return
         direction = None if self._memory is None or not self.controller.aim.lever else self._memory.direction
         if space == "direction" and direction is None:
             raise RefusedError(NO_DIRECTION_CONTROL)
+        self.controller.reset()
         self.request(Transition.START)
-        self._jog = Jog(space, velocity, now, None if direction is None else direction.observed)
-        self._rest = None
+        self._overload.begin(jog=True)
+        self.contact = ""
+        self._jog = JogMotion(space, request, now, None if direction is None else direction.observed)
+        self._end_rest()
         if self._memory is not None:
             self._memory = restart_setpoints_here(self._memory)
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
@@ -246,7 +337,7 @@ class ControlLoop:
 
         Raises:
             RefusedError: the present motion has no stiffness, or no motion runs.
-            DescriptionError: the stiffness is too low for the delay of the line in the present pose.
+            DescriptionError: in the present pose the stiffness is too low for the delay of the joints' response.
         """
         started = None if self.progress is None else self.controller.stiffness
         if started is None or self._memory is None:
@@ -282,22 +373,31 @@ class ControlLoop:
         fault = self._check_devices(now)
         if self.state in AUTO_STATES:
             self._auto_transitions(now, stages.condition, fault)
+        self._time = now
         if not stages.ready:
-            self._memory = None
+            self._memory, self._overload.force = None, None
             return self._frozen_row(now, joints, wrenches)
-        if self._tare is None and wrenches.usable:
+        if not self._tared and wrenches.usable:
             # Start with a tare by a single sample; the mean of more samples replaces it at the end of the settle phase.
-            self._tare, self._rest = self.controller.tare(wrenches.wrenches, joints.positions), SettlePhase(now)
+            # After a new connection the last tare remains until then, because something may touch the robot.
+            self._tared, self._rest = True, SettlePhase(now)
+            if self._tare is None:
+                self._tare = self.controller.tare(wrenches.wrenches, joints.positions)
+                if self.controller.senses:
+                    self._moved = False
+                    self._zero = first_zero(self.controller, self._tare, joints.positions, now)
         tare = wrenches.wrenches if self._tare is None else self._tare
         order = None if fault else self._order(now, joints, wrenches.wrenches, frame, request)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
         direction = None if frame is None else frame.direction
-        sample = Sample(joints.positions, joints.sent, wrenches.wrenches - tare, tip, age, direction)
+        measured = wrenches.wrenches - tare if self.controller.senses else self._no_wrenches
+        sample = Sample(joints.positions, joints.sent, measured, tip, age, direction)
         try:
             if self._memory is None:
                 if (frame is None and devices.tracker is not None) or not wrenches.usable:
                     return self._frozen_row(now, joints, wrenches)
                 self._memory = start_controller(self.controller, sample)
+                self._compare_tips(self._memory, now)
             tick = step(self.controller, self._memory, sample, order)
         except CtrError as error:
             # This tick sends only the stop; the next tick continues from the last valid state of the controller.
@@ -307,26 +407,40 @@ class ControlLoop:
                 self.request(Transition.HOLD, cause or f"the controller cannot continue: {error}", details)
             return self._frozen_row(now, joints, wrenches)
         self._memory = tick.memory
-        snap = self._snap.check(tick, frame is not None, now) if self.state in (State.RUNNING, State.HOLD) else None
+        snap = None
+        if self.state in (State.RUNNING, State.HOLD):
+            by_tracker = isinstance(order, Setpoint) and devices.tracker is not None
+            snap = self._snap.check(tick, frame is not None, now, joints.sent, tip=by_tracker)
         # The first tracker frames after a snap are rejected as outliers, so this STOP may follow a HOLD.
         if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
             self._act_on(snap, now)
         if self.state is State.RUNNING and isinstance(order, Setpoint) and frame is not None:
             stalled = self._stall.check(now, tick, self.controller.limits, self.controller.aim.floor)
             self._act_on(DeviceFault(Severity.HOLD, stalled) if stalled else None, now)
+        if self._zero is not None:
+            removed = removed_force(self.controller, self._zero, tick.memory.estimate.loaded)
+            self._overload.update(now, tick.load.force + removed, self.controller.limits.overload)
+            if tick.setpoint.press is not None and self._overload.force is not None:
+                touches = tick.memory.contact.force > CONTACT * tick.setpoint.press.force
+                self._pressed = self._overload.force - removed if touches else None
+        if order is not None and self.state is State.RUNNING and (excess := self._overload.check(now)):
+            self._act_on(DeviceFault(Severity.HOLD, excess), now)
         if order is not None and self.state is State.RUNNING:
+            self._moved = True
             stages.command(tick.command, now)
         self._contact_start = (
             0.0 if tick.setpoint.press is None else contact_start(self._contact_start, now, tick.setpoint.press, tick)
         )
-        self._row = self.channels.row(
-            now, self.state, self.phase, joints, wrenches, frame, tick, truth, self._troubles, request,
-            self._target.numbers(truth), self._contact_start,
+        record = TickRecord(
+            now, self.state, self.phase, joints, wrenches, frame, tick, tick.memory, tick.memory.estimate, truth,
+            self._troubles, None if request is None else request.setpoint, self._target.values(truth),
+            self._contact_start,
         )  # fmt: skip
+        self._row = self.channels.row(record)
         return self._row
 
     def _connect(self, now: float) -> None:
-        self._memory, self._tare = None, None
+        self._memory, self._tared = None, False
         for device in self.devices.by_kind.values():
             device.connect(now)
 
@@ -382,7 +496,7 @@ class ControlLoop:
     ) -> Setpoint | JointMotion | None:
         """Return this tick's setpoint or joint velocities, and update the progress of the run; None without motion."""
         if self._jog is not None:
-            order = self._jog.order(now, self.controller.period)
+            order = self._jog.order(now, self.controller.period, joints.positions, self.controller.limits.speed)
             if order is None:
                 self._finish(now)
             return order
@@ -431,7 +545,7 @@ class ControlLoop:
     def _begin_motion(
         self, now: float, start: float, joints: JointReading, rest: SettlePhase, task: MotionTask
     ) -> bool:
-        """Set tare, start tip and motion from the measurements at rest; return False without a tracker frame."""
+        """Set tare, start tip and motion from the measurements at rest; return False if the motion cannot start."""
         tip, self._rest = rest.tip, None
         if self.devices.tracker is None and self._memory is not None:
             tip = self._memory.tip
@@ -439,8 +553,14 @@ class ControlLoop:
             text = f"the tracker measured no position within {AVERAGE_S:g} s; is the coil inside its volume?"
             self._act_on(DeviceFault(Severity.HOLD, text), now)
             return False
-        self._tare = self.controller.tare(rest.wrenches, joints.positions)
-        self._memory = set_origin(self.controller, self._memory, tip)
+        if refused := self._set_zero(now, rest, joints, tip, loaded=task.loaded):
+            self._act_on(DeviceFault(Severity.HOLD, f"a tare would hide a contact: {refused}"), now)
+            return False
+        try:
+            task.controller.reset()
+        except CtrError as error:
+            self._act_on(DeviceFault(Severity.HOLD, str(error)), now)
+            return False
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(task.margins or self._margins)
         if task.follow is not None:
             self._target.follow(task.follow, task.controller, tip)
@@ -454,6 +574,43 @@ class ControlLoop:
             self._motion = TimedMotion(task.orders, start)
         return True
 
+    def _set_zero(
+        self, now: float, rest: SettlePhase, joints: JointReading, tip: Array, *, loaded: bool = False,
+        untouched: bool = False,
+    ) -> str:  # fmt: skip
+        """Tare with the readings at rest and restart the estimates at `tip` (3,); return why if it would hide a load.
+
+        `loaded`: remove a known load, which still counts in the bound of the force; `untouched`: remove any force.
+        """
+        memory, zero = self._memory, self._zero
+        assert memory is not None, "a tare needs the controller's state"  # noqa: S101
+        tare, free = self.controller.tare(rest.wrenches, joints.positions), memory.estimate.unloaded
+        if zero is not None:
+            readings = tare if self.controller.senses else tip - free.tip
+            after, refused = after_tare(self.controller, zero, readings, free, now, first=not self._moved)
+            if refused and not (loaded or untouched):
+                return refused
+            self._zero = ForceZero(readings, readings, free.joints.copy(), now) if untouched else after
+        self._tare, self._pressed = tare, None
+        self._memory = set_origin(self.controller, memory, tip)
+        return ""
+
+    def _compare_tips(self, memory: ControllerState, now: float) -> None:
+        """Compare the tracker's tip with the unloaded model before anything moves: the first tare would hide a load.
+
+        On a bench without force sensors the difference of the tips is the reading that a tare sets to zero.
+        """
+        if memory.deflection is None:
+            return
+        difference = memory.tip - memory.estimate.unloaded.tip
+        joints = memory.estimate.loaded.joints
+        if not self.controller.senses and self._zero is None:
+            self._moved, self._zero = False, first_zero(self.controller, difference, joints, now)
+        elif not self.controller.senses and self._zero is not None:
+            self._zero = replace(self._zero, tare=difference, joints=joints.copy())
+        if self._zero is not None and not self._moved:
+            self._zero = doubted(self._zero, difference, memory.estimate.unloaded)
+
     def _tip(self, frame: TipReading | None) -> Array | None:
         if frame is None or self._memory is None:
             return None
@@ -464,12 +621,13 @@ class ControlLoop:
         self.request(Transition.FINISH)
         self._target.end()
         self.progress = self._jog = None
+        self.contact = self._contact(now)
 
     def _continue_tare(self, now: float, joints: JointReading, wrenches: Array) -> None:
         if self._rest is None:
             return
         self._rest.take(wrenches, None)
         if now - self._rest.since >= AVERAGE_S and self._memory is not None:
-            self._tare = self.controller.tare(self._rest.wrenches, joints.positions)
-            self._memory = set_origin(self.controller, self._memory, self._memory.origin)
-            self._rest = None
+            rest, self._rest, untouched, self._untouched = self._rest, None, self._untouched, False
+            tip = self._memory.estimate.observed.tip if self._moved else self._memory.origin
+            self.contact = self._set_zero(now, rest, joints, tip, untouched=untouched)

@@ -1,40 +1,11 @@
-"""Messages between the station process and the control process."""
+"""Reports of the control process to the station process; `commands` contains the commands and their replies."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
-from core.robot.robot import Array
-from station.control.states import State, Transition
-from station.control.task import MotionTask, Space
+from station.control.states import State
 from station.devices.interfaces import Condition
-
-#: Change of state or action that a command requests.
-CommandKind = Transition | Literal["tare", "jog", "stiffness"]
-
-
-class Command(NamedTuple):
-    """Command from the station process to the control process."""
-
-    number: int  #: number of the command, repeated in its reply
-    what: CommandKind
-    task: MotionTask | None = None  #: motion to START, or to execute after HOME
-    run: int = 0  #: number of the run that the task belongs to
-    space: Space = "joints"  #: what a jog moves
-    velocity: Array | None = None  #: velocity of a jog [rad/s or m/s]
-    stiffness: tuple[float, float, float] | None = None  #: stiffness of the tip along its axes, for `stiffness` [N/m]
-    cause: str = ""  #: reason of a HOLD or STOP
-    until: float = math.inf  #: deadline after which the command is rejected, by the station's clock [s]
-    #: number of STOPs and resets before the request; a later one voids the command; None: never void
-    generation: int | None = None
-
-
-class Reply(NamedTuple):
-    """Answer of the control process to a command of the station process."""
-
-    number: int  #: number of the command
-    refused: str  #: reason of the refusal; empty when the command was executed
 
 
 class StateNotice(NamedTuple):
@@ -45,6 +16,7 @@ class StateNotice(NamedTuple):
     run: int  #: number of the run that the notice is about
     motion_start: float | None = None  #: start of the run's motion, by the station's clock [s]; None: no motion
     details: str = ""  #: addresses and raw values that belong to the cause
+    contact: str = ""  #: why the tip may have contact after the last motion, tare or reset; empty without contact
 
 
 class CommandRefused(NamedTuple):

@@ -9,26 +9,42 @@ import os
 import select
 import signal
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
+from core.compiled import PREPARED
 from core.control.controller_settings import Controller
 from core.errors import CtrError
 from station.config.controllers import PERIOD_S
+from station.config.plugins import preload
 from station.config.robots import RobotFile
 from station.control import follow
 from station.control.child_process import StationLife
 from station.control.clock import REAL_TIME_CLOCK, StationClock
-from station.control.driver_guard import DriverCalls, DriverError, guard_drivers
+from station.control.commands import CommandMessage, Reply, Stop
+from station.control.driver_guard import DriverCalls, guard_drivers
 from station.control.loop import ControlLoop
-from station.control.messages import Command, CommandRefused, DeviceReport, DeviceStatus, Reply, StateNotice
+from station.control.messages import CommandRefused, DeviceReport, DeviceStatus, StateNotice
 from station.control.monitors import Margins, OverrunLimits, Overruns
 from station.control.realtime import is_dying, load, request_realtime, set_process_name, too_busy
-from station.control.ring import BALL_PORT, DRIVEN, GENERATION, HEARTBEAT, PHASE, PROGRESS, RUN, SCHEDULER, STATE, Ring
-from station.control.states import State, Transition
-from station.control.task import MotionTask, Phase, StreamRequest
+from station.control.ring import (
+    BALL_PORT,
+    DRIVEN,
+    GENERATION,
+    HEARTBEAT,
+    PHASE,
+    PREPARED_LATE,
+    PROGRESS,
+    RUN,
+    SCHEDULER,
+    STATE,
+    Ring,
+)
+from station.control.states import State, Transition, check_state
+from station.control.task import Phase, StreamRequest
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
+from station.devices.guard import DriverError
 from station.devices.interfaces import Devices, Severity
 from station.devices.registry import emergency_stop, open_devices
 from station.devices.stereo.tracker import StereoTracker
@@ -64,12 +80,13 @@ class ControlSetup:
 
 
 def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: int) -> None:
-    """Main function of the control process, which waits for the description of the devices in `pipe`."""
+    """Run the control process, which first waits for the description of the devices in `pipe`."""
     # Ctrl-C in a terminal reaches every process of its group, but the station process decides when this process ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_process_name("ctr-control")
     ring = Ring(ring_width(setup.robot), ring_name)
     try:
+        preload()
         setup.rehearse(setup.controller)
         bench, stopped = _apply_command(pipe)
         if bench is None:
@@ -80,7 +97,7 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
         if isinstance(devices.tracker, StereoTracker):
             ring.numbers[BALL_PORT] = devices.tracker.port
         try:
-            loop = ControlLoop(calls.watched(setup.controller), devices, setup.margins)
+            loop = ControlLoop(setup.controller, devices, setup.margins, calls.watched)
             if bench.can_measure_target:
                 follow.warm_up()
             granted = request_realtime(fifo=setup.fifo, core=setup.core)
@@ -110,10 +127,10 @@ def _apply_command(pipe: Connection) -> tuple[BenchFile | None, bool]:
     Other commands are refused, because the process is still starting.
     """
     stopped = False
-    while isinstance(message := pipe.recv(), Command):
-        stop = message.what is Transition.STOP
+    while isinstance(message := pipe.recv(), CommandMessage):
+        stop = isinstance(message.command, Stop)
         stopped = stopped or stop
-        refused = f"'{message.what}' is not possible: the control process is starting"
+        refused = f"'{message.command.name}' is not possible: the control process is starting"
         pipe.send(Reply(message.number, "" if stop else refused))
     return message, stopped
 
@@ -146,8 +163,9 @@ class _LiveLoop:
         self._station = StationLife(ring, setup.clock, parent)
         self._overruns = Overruns(setup.overruns, PERIOD_S)
         self._started = 0.0
-        self._run = 0
-        self._sent_notice = StateNotice(State.OFF, "", 0)
+        self._prepared = len(PREPARED)
+        self._noted = StateNotice(State.OFF, "", 0)
+        self._unsent: list[StateNotice] = []  # notices that the next tick sends
 
     def run(self, stopped: bool) -> None:
         """Tick until the station process closes the pipe or is gone; stop at once if a STOP came early (`stopped`)."""
@@ -201,11 +219,13 @@ class _LiveLoop:
         if row is not None:
             ring.write(row)
         self._report(now)
-        self._notice()
+        self._note()
+        while self._unsent:
+            self._pipe.send(self._unsent.pop(0))
         standstill = self._station.standstill()  # at every tick: it compares the processor time with an earlier query
         if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
-                self._pipe.send(DeviceReport(_statuses(loop.devices, now)))
+                self._pipe.send(DeviceReport(_statuses(loop.devices, now, loop.warning)))
         elif loop.state in (State.RUNNING, State.HOMING) and (details := self._without_station(standstill)):
             silent = f"the station process was silent for {self._station.silence:.1f} s, and all axes were stopped"
             loop.stop(now, cause=too_busy(silent), details=details)
@@ -220,7 +240,7 @@ class _LiveLoop:
 
     def _setpoint_request(self) -> StreamRequest | None:
         """Return the latest request for this run's streamed tip, in the loop's time."""
-        request = self._ring.request(self._run)
+        request = self._ring.request(self._loop.run)
         if request is None or request.setpoint is None:
             return request
         setpoint = request.setpoint
@@ -228,19 +248,20 @@ class _LiveLoop:
 
     def _report(self, now: float) -> None:
         loop, ring = self._loop, self._ring
-        ring.counters[STATE], ring.counters[PHASE], ring.counters[RUN] = loop.state, loop.phase, self._run
+        ring.counters[STATE], ring.counters[PHASE], ring.counters[RUN] = loop.state, loop.phase, loop.run
+        ring.counters[PREPARED_LATE] = len(PREPARED) - self._prepared
         ring.numbers[PROGRESS], ring.numbers[HEARTBEAT] = loop.part_done(now), self._clock.now()
 
-    def _notice(self) -> None:
-        """Send a notice of the state to the station process if the state has changed."""
+    def _note(self) -> None:
+        """Note a change of the state; the next tick sends the notice to the station process."""
         loop = self._loop
         progress = loop.progress
         known = progress is not None and progress.phase in (Phase.SETTLING, Phase.MOVING)
         start = self._started + progress.motion_start if progress is not None and known else None
-        notice = StateNotice(loop.state, loop.cause, self._run, start, loop.cause_details)
-        if notice != self._sent_notice:
-            self._sent_notice = notice
-            self._pipe.send(notice)
+        notice = StateNotice(loop.state, loop.cause, loop.run, start, loop.cause_details, loop.contact)
+        if notice != self._noted:
+            self._noted = notice
+            self._unsent.append(notice)
 
     def _listen(self, now: float) -> bool:
         """Execute the commands that have arrived; return False if the station process is gone."""
@@ -250,54 +271,32 @@ class _LiveLoop:
             return False
         try:
             while self._commands.poll(0):
-                command: Command | None = self._pipe.recv()
-                if command is None:
+                message: CommandMessage | None = self._pipe.recv()
+                if message is None:
                     return False
-                refused = self._obey(command, now)
+                # Report a state before the next command ends it: a reset must not hide how a run has ended.
+                self._note()
+                refused = self._obey(message, now)
                 # Publish the new state before the reply.
                 self._report(now)
-                self._pipe.send(Reply(command.number, refused))
+                self._pipe.send(Reply(message.number, refused))
         except (EOFError, OSError):
             return False
         return True
 
-    def _obey(self, command: Command, now: float) -> str:
+    def _obey(self, message: CommandMessage, now: float) -> str:
         """Execute one command; return why it was refused, or an empty text if it was accepted."""
-        loop = self._loop
-        if self._clock.now() > command.until:
-            return f"'{command.what}' came too late to be carried out"  # the sender has already received a timeout
-        if command.generation not in (None, int(self._ring.counters[GENERATION])):
-            return f"'{command.what}' was requested before a STOP or a reset"
+        command = message.command
+        if self._clock.now() > message.until:
+            return f"'{command.name}' arrived after its deadline"  # the sender has already received a timeout
+        if message.generation not in (None, int(self._ring.counters[GENERATION])):
+            return f"'{command.name}' was requested before a STOP or a reset"
         try:
-            match command.what:
-                case Transition.STOP:
-                    loop.stop(now, cause=command.cause)
-                case Transition.HOLD:
-                    loop.stop(now, Transition.HOLD, command.cause)
-                case Transition.START if command.task is not None:
-                    loop.start(self._watched(command.task))
-                    self._run = command.run
-                case Transition.RESET:
-                    loop.reset(now)
-                case Transition.CONNECT:
-                    loop.connect(now)
-                case Transition.HOME:
-                    loop.home(now, None if command.task is None else self._watched(command.task))
-                    self._run = command.run
-                case "tare":
-                    loop.tare(now)
-                case "jog" if command.velocity is not None:
-                    loop.jog(now, command.space, command.velocity)
-                case "stiffness" if command.stiffness is not None:
-                    loop.set_stiffness(now, command.stiffness)
-                case _:
-                    return f"'{command.what}' is not a valid command"
+            check_state(self._loop.state, command.name, command.states)
+            command.apply(self._loop, now)
         except CtrError as error:
             return str(error)
         return ""
-
-    def _watched(self, task: MotionTask) -> MotionTask:
-        return replace(task, controller=self._calls.watched(task.controller))
 
     def _wind_down(self) -> None:
         """Stop every axis and wait until the serial lines have transmitted the stop commands."""
@@ -309,11 +308,13 @@ class _LiveLoop:
                 self._loop.devices.stages.poll(self._clock.now() - self._started)
 
 
-def _statuses(devices: Devices, now: float) -> tuple[DeviceStatus, ...]:
+def _statuses(devices: Devices, now: float, warning: str) -> tuple[DeviceStatus, ...]:
     found: list[DeviceStatus] = []
     for name, device in devices.by_kind.items():
         trouble = device.trouble(now)
         severity, text = (0, "") if trouble is None else (int(trouble.severity), str(trouble))
+        if trouble is None and name == "tracker" and warning:
+            severity, text = int(Severity.WARN), warning
         found.append(
             DeviceStatus(name=name, condition=device.condition, severity=severity, text=text, details=device.details())
         )

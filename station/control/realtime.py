@@ -146,12 +146,12 @@ def processor_time(pid: int) -> float | None:
 
 #: Start of every cause that blames other programs on this computer.
 TOO_BUSY = "this computer was too busy"
-#: What a person does against a busy computer.
+#: Advice to the operator of a busy computer.
 RELIEF = "close other programs and run 'ctr-station doctor'"
 
 
 def too_busy(what: str) -> str:
-    """Return the cause of a stop that other programs on this computer are responsible for; `what` has happened."""
+    """Return the cause of a stop after the event `what`, which other programs on this computer have caused."""
     return f"{TOO_BUSY}: {what}; {RELIEF}"
 
 

@@ -28,9 +28,10 @@ HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin co
 
 #: Indices of the counters. DRIVER_IN_CALL is the number of the custom driver or loop that is being called, from 1; 0 if
 #: there is none. GENERATION is the number of requested STOPs and resets; only the station process writes it. DRIVEN is
-#: 1 after a control process of this station has opened the stages.
-WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION, DRIVEN = range(10)
-COUNTERS = 10
+#: 1 after a control process of this station has opened the stages. PREPARED_LATE is the number of functions that were
+#: compiled or loaded while the control loop was running.
+WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION, DRIVEN, PREPARED_LATE = range(11)
+COUNTERS = 11
 #: Indices of the floating-point numbers. A heartbeat is the time at which a process last reported that it is alive, by
 #: the station's clock [s]. SHAPE_PORT is the UDP port at which the virtual lab gives the true shape to simulated
 #: cameras, and BALL_PORT the one at which the driver `stereo` receives the pixels of the ball; 0 if there is no port.

@@ -1,5 +1,6 @@
-"""States of the station, the table of their transitions, drawn in `station/README.md`, and the causes of a stop."""
+"""States of the station, the table of their transitions (drawn in `station/README.md`), and causes of a stop."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
@@ -82,15 +83,29 @@ class RefusedError(CtrError):
     """The present state of the station does not allow a request."""
 
 
+def origins(event: Transition) -> tuple[State, ...]:
+    """Return the states in which an event is possible."""
+    return tuple(state for state, possible in TRANSITIONS if possible is event)
+
+
+def check_state(state: State, what: str, allowed: Sequence[State]) -> None:
+    """Check that `state` is one of the states that allow the event or command `what`.
+
+    Raises:
+        RefusedError: it is not; the text names the states that allow it.
+    """
+    if state not in allowed:
+        needed = " or ".join(each.name for each in allowed)
+        raise RefusedError(f"'{what}' is not possible while {state.name}; it needs {needed}")
+
+
 def next_state(state: State, event: Transition) -> State:
     """Return the state that follows from an event.
 
     Raises:
         RefusedError: the event is not possible in this state; the text names the states that allow it.
     """
-    if (state, event) not in TRANSITIONS:
-        allowed = " or ".join(origin.name for origin, possible in TRANSITIONS if possible is event)
-        raise RefusedError(f"'{event}' is not possible while {state.name}; it needs {allowed}")
+    check_state(state, event, origins(event))
     return TRANSITIONS[state, event]
 
 

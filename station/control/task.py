@@ -39,6 +39,11 @@ class SettlePhase:
         self._wrenches: list[Array] = []
         self._tips: list[Array] = []
 
+    @property
+    def counted(self) -> bool:
+        """Whether there are readings."""
+        return bool(self._wrenches)
+
     def take(self, wrenches: Array, tip: Array | None) -> None:
         """Add the wrenches of one tick (one row of 6 for each sensor) and, after a new tracker frame, its tip (3,)."""
         self._wrenches.append(wrenches)
@@ -154,41 +159,59 @@ class TimedMotion:
 
 #: Time after which a jog that is not renewed ends [s]: its button was released or its client is gone.
 JOG_TIMEOUT_S = 0.3
-#: What a jog moves: the joints, the tip's position, or the tip's direction at constant position.
+#: Quantity that a jog moves: the joints, the tip's position, or the tip's direction at constant position.
 Space = Literal["joints", "tip", "direction"]
+#: Quantity that a jog of the control loop moves; it may also move the joints toward a pose.
+JogSpace = Space | Literal["pose"]
+#: Rate at which the remaining distance to a streamed pose decays [1/s]. It is far below the inverse of the delay from
+#: a command to the measured joints (0.05 s), so that the joints do not overshoot.
+STREAM_RATE_HZ = 6.0
 
 
-class Jog:
-    """One jog, from the first press of the operator's button until its release."""
+class JogMotion:
+    """Motion that lasts while a client renews its request: a jog by a button, or joints that follow streamed poses."""
 
-    def __init__(self, space: Space, velocity: Array, now: float, pointing: Array | None) -> None:
-        """Start at `now` [s] with a velocity (n,) of `space`; see `ControlLoop.jog`.
+    def __init__(self, space: JogSpace, request: Array, now: float, pointing: Array | None) -> None:
+        """Start at `now` [s] with a velocity of `space` or a pose of the joints (n,); see `ControlLoop.jog`.
 
         `pointing` (3,) is the present direction of the tip, needed for a jog of the direction.
         """
-        self._space, self._velocity, self._renewed = space, velocity, now
+        self._space, self._request, self._renewed = space, request, now
         self._offset = np.zeros(3)  # displacement of the tip's setpoint since the start [m]
         # Desired direction of the tip; None: keep the direction of the start.
         self._direction = pointing if space == "direction" else None
 
-    def renew(self, space: Space, velocity: Array, now: float) -> bool:
-        """Renew the jog with a velocity; return False if `space` differs, because another space needs a new jog."""
+    def renew(self, space: JogSpace, request: Array, now: float) -> bool:
+        """Renew the jog with a request; return False if `space` differs, because another space needs a new jog."""
         if space != self._space:
             return False
-        self._velocity, self._renewed = velocity, now
+        self._request, self._renewed = request, now
         return True
 
-    def order(self, now: float, period: float) -> JointMotion | Setpoint | None:
-        """Return this tick's joint velocities or setpoint; None after the client has stopped renewing the jog."""
+    def order(self, now: float, period: float, joints: Array, top: Array) -> JointMotion | Setpoint | None:
+        """Return this tick's joint velocities or setpoint; None after the client has stopped renewing the jog.
+
+        `joints` (n,) are the present joint positions [rad or m], and `top` (n,) the top speeds [rad/s or m/s].
+        """
         if now - self._renewed > JOG_TIMEOUT_S:
             return None
         if self._space == "joints":
-            return JointMotion(self._velocity)
+            return JointMotion(self._request)
+        if self._space == "pose":
+            return JointMotion(_toward((self._request - joints) / top, STREAM_RATE_HZ, 1.0) * top)
         if self._direction is not None:
-            self._direction = rotated(self._direction, period * self._velocity)
-            return Setpoint(self._offset, np.zeros(3), self._direction, self._velocity)
-        self._offset = self._offset + period * self._velocity
-        return Setpoint(self._offset, self._velocity)
+            self._direction = rotated(self._direction, period * self._request)
+            return Setpoint(self._offset, np.zeros(3), self._direction, self._request)
+        self._offset = self._offset + period * self._request
+        return Setpoint(self._offset, self._request)
+
+
+def _toward(distance: Array, rate: float, share: float) -> Array:
+    """Return velocities (n,) that close distances (n,) together; both are in units of the joints' largest speeds.
+
+    The distances decay at `rate` [1/s] near their end, and the longest is closed at most at `share` of the top speed.
+    """
+    return distance * min(rate, share / max(np.abs(distance).max(), 1e-12))
 
 
 class Phase(IntEnum):
@@ -211,6 +234,8 @@ class MotionTask:
     start: Array | None = None  #: joints (n,) to start from; None: their present position
     margins: Margins | None = None  #: margins against a snap; None: those of the station
     rests: bool = True  #: rest for tare and start tip before the motion; False: end at the start pose
+    loaded: bool = False  #: a known load may hang at the tip: the tare removes it, and the bound of the force counts it
+    run: int = 0  #: number of the run that the motion belongs to; 0: none
 
     @property
     def follow(self) -> FollowMotion | None:
@@ -231,10 +256,9 @@ class MotionTask:
             return None
         top = self.controller.limits.speed
         distance = (self.start - joints) / top
-        longest = np.abs(distance).max()
-        if longest <= ARRIVAL_TOLERANCE:
+        if np.abs(distance).max() <= ARRIVAL_TOLERANCE:
             return None
-        return distance * min(APPROACH_RATE_HZ, SPEED_SHARE / longest) * top
+        return _toward(distance, APPROACH_RATE_HZ, SPEED_SHARE) * top
 
 
 @dataclass(frozen=True)

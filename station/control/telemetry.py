@@ -1,25 +1,205 @@
 """Channels of telemetry: one row of numbers for each tick, the same for recordings and live views.
 
+`FIELDS` describes each number once; rows, recordings, live streams and documents are made from it. A new number is one
+line there.
+
 A row always has every channel. It repeats the last known values while stages are being homed, lost or reconnected, and
 while a device has no valid sample; such values are stale.
 """
 
+from functools import lru_cache
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from core.compiled import compiled
-from core.control.estimation import FRAME_USED, NEWEST_INDEX, VECTOR_UNITS, estimate_fields
+from core.control.estimation import ESTIMATES, FRAME_USED, Estimate
+from core.control.fields import (
+    Field,
+    Writer,
+    base_wrenches,
+    direction,
+    joint_flags,
+    joints,
+    named,
+    one,
+    singular_values,
+    vector,
+)
 from core.control.setpoint_request import SetpointRequest
-from core.control.step import Tick
-from core.control.tip_direction import DirectionEstimate
-from core.model.solution import PASSES, STABILITY, fields
+from core.control.step import ControllerState, Tick
+from core.model.solution import PASSES
 from core.robot.robot import Array, Robot
+from station.config.robots import WHOLE_LOAD
+from station.control.follow import TargetValues
 from station.control.states import State
-from station.control.task import StreamRequest
 from station.devices.interfaces import ABSENT, GroundTruth, JointReading, Severity, TipReading, WrenchReading
 
-XYZ = ("x", "y", "z")
+
+class TickRecord(NamedTuple):
+    """Values that one tick has read, estimated and commanded; a row of telemetry is made from them."""
+
+    time: float  #: [s]
+    state: State
+    phase: int  #: a `task.Phase`
+    joints: JointReading
+    wrenches: WrenchReading
+    frame: TipReading | None  #: new tracker frame; None: the values of the last frame are repeated
+    tick: Tick
+    memory: ControllerState  #: state of the controller after `tick`
+    estimate: Estimate  #: estimate in `memory`
+    truth: GroundTruth | None  #: None: there is no virtual lab
+    trouble: tuple[int, int, int]  #: severities of stages, tracker and force sensors; `ABSENT`: no device
+    wanted: SetpointRequest | None  #: latest setpoint request for a streamed tip
+    target: TargetValues | None
+    contact_start: float  #: time at which a tip that holds a force has touched the obstacle [s]
+
+
+def _tip_observed(at: TickRecord) -> Array:
+    return at.estimate.model_tip + at.estimate.bias
+
+
+def _request(at: TickRecord) -> Array | None:
+    wanted = at.wanted
+    return None if wanted is None or wanted.position is None else at.memory.origin + wanted.position
+
+
+def _direction_measured(at: TickRecord) -> Array | None:
+    known = at.memory.direction
+    return known.measured if known is not None and known.measured_once else None
+
+
+def _direction_desired(at: TickRecord) -> Array | None:
+    known, desired = at.memory.direction, at.tick.setpoint.direction
+    return None if known is None else known.origin if desired is None else desired
+
+
+#: Fields in addition to `ESTIMATES`. A field is 0 if its function returns None, for example `x and x.y` if x is None.
+_RECORDED = (
+    Field("time", "s", "time of the tick", "loop", one, streamed=True),
+    Field("state", "", "state of the station", "loop", one, streamed=True),
+    Field("phase", "", "phase of the run", "loop", one, streamed=True),
+    Field("estimates_frozen", "", "1: the estimates are those of an earlier tick", "loop", one, None, streamed=True),
+    Field("tip_new", "", "1: a new tracker frame", "loop", one, lambda at: at.frame is not None),
+    Field(
+        "tip_time", "s", "time at which the new frame was measured", "tracker", one,
+        lambda at: at.frame and at.frame.time,
+    ),
+    Field(
+        "observer_used", "", "1: the tip observer used the frame", "loop", one,
+        lambda at: at.estimate.numbers[FRAME_USED],
+    ),
+    Field("stability", "", "stability margin of the loaded shape", "controller", one, "estimate.loaded.stability"),
+    Field(
+        "truth_known", "", "1: a virtual lab knows the true values", "loop", one,
+        lambda at: at.truth is not None, streamed=True,
+    ),
+    Field(
+        "request_kind", "", "1: the streamed setpoint is a position; 2: a velocity", "loop", one,
+        lambda at: at.wanted and (2.0 if at.wanted.position is None else 1.0),
+    ),
+    Field(
+        "request_time", "s", "arrival of the streamed setpoint", "loop", one,
+        lambda at: at.wanted and at.wanted.time,
+    ),
+    Field("target_new", "", "1: a new frame of the target", "loop", one, lambda at: at.target and at.target.new),
+    Field(
+        "target_followed", "", "1: the tip follows the target", "loop", one,
+        lambda at: at.target and at.target.followed, streamed=True,
+    ),
+    Field(
+        "clearance", "m", "smallest distance of the tubes from a region, at most 0.1 m", "controller", one,
+        "tick.clearance",
+    ),
+    Field("contact_start", "s", "time at which the present contact started", "controller", one, streamed=True),
+    Field(
+        "passes", "", "Newton iterations of the model", "loop", named("loaded", "unloaded"),
+        lambda at: (at.estimate.loaded.numbers[PASSES], at.estimate.unloaded.numbers[PASSES]),
+    ),
+    Field(
+        "trouble", "", "severity of each device's fault", "loop", named("stages", "tracker", "sensors"),
+        streamed=True,
+    ),
+    Field("tip_true", "m", "true tip", "lab", vector, lambda at: at.truth and at.truth.tip, streamed=True),
+    Field("force_true", "N", "true force at the tip", "lab", vector, lambda at: at.truth and at.truth.force),
+    Field("joints", "", "measured joint positions", "stages", joints, "joints.positions", streamed=True),
+    Field("velocity_commanded", "/s", "joint velocities of this tick", "loop", joints, "tick.command"),
+    Field("velocity_sent", "/s", "joint velocities sent to the stages last", "stages", joints, "joints.sent"),
+    Field(
+        "wrench_raw", "", "readings of the base sensors, not tared", "sensors", base_wrenches,
+        lambda at: at.wrenches.wrenches.ravel(),
+    ),
+    Field(
+        "force", "N", "force at the tip from the sum of the base sensors", "force or deflection", vector,
+        "tick.load.force", streamed=True,
+    ),
+    Field("moment", "N m", "moment of the load about the plate's origin", "force", vector, "tick.load.moment"),
+    Field("tip_measured", "m", "tip in the last tracker frame", "tracker", vector, "memory.tip", streamed=True),
+    Field("tip_estimated", "m", "tip of the loaded model", "controller", vector, "estimate.loaded.tip", streamed=True),
+    Field("tip_unloaded", "m", "tip of the model without load", "controller", vector, "estimate.unloaded.tip"),
+    Field(
+        "tip_desired", "m", "setpoint of the tip", "controller", vector,
+        lambda at: at.memory.origin + at.tick.setpoint.position, streamed=True,
+    ),
+    Field(
+        "u_int", "m/s", "tip velocity that the outer loop requests", "controller", vector,
+        "tick.u_int", streamed=True,
+    ),
+    Field("delta", "m/s", "observed minus requested tip velocity, eq. (27)", "controller", vector, "tick.delta"),
+    Field(
+        "sigma", "m/s", "singular values of the Jacobian, joints in units of top speed", "controller", singular_values,
+        "tick.sigma",
+    ),
+    Field(
+        "at_bound", "", "-1, 1: the joint velocity is at its lower or upper bound", "controller", joint_flags,
+        "tick.at_bound",
+    ),
+    Field("tip_observed", "m", "tip estimated by the observer", "controller", vector, _tip_observed),
+    Field("request", "m", "position of the streamed setpoint", "loop", vector, _request),
+    Field(
+        "request_velocity", "m/s", "velocity of the streamed setpoint", "loop", vector,
+        lambda at: at.wanted and at.wanted.velocity,
+    ),
+    Field(
+        "direction_measured", "", "measured direction of the tip", "tracker", direction,
+        _direction_measured, streamed=True,
+    ),
+    Field(
+        "direction_observed", "", "direction estimated by the observer", "controller", direction,
+        lambda at: at.memory.direction and at.memory.direction.observed, streamed=True,
+    ),
+    Field(
+        "direction_desired", "", "setpoint of the direction", "controller", direction,
+        _direction_desired, streamed=True,
+    ),
+    Field(
+        "direction_true", "", "true direction of the tip", "lab", direction,
+        lambda at: at.truth and at.truth.direction, streamed=True,
+    ),
+    Field(
+        "target_measured", "m", "position of the target in its last tracker frame", "tracker", vector,
+        lambda at: at.target and at.target.measured, streamed=True,
+    ),
+    Field("target_predicted", "m", "predicted target", "tracker", vector, lambda at: at.target and at.target.predicted),
+    Field(
+        "target_offset", "m", "tip minus target", "controller", vector,
+        lambda at: at.target and at.target.offset, streamed=True,
+    ),
+    Field("target_true", "m", "true target", "lab", vector, lambda at: at.target and at.target.true, streamed=True),
+    Field(
+        "force_by_deflection", "N", "force from the tip's deflection", "tracker", vector,
+        lambda at: at.memory.deflection and at.memory.deflection.force,
+    ),
+    Field(
+        "force_by_deflection_covariance", "N^2", "covariance of force_by_deflection", "tracker",
+        named("xx", "xy", "xz", "yy", "yz", "zz"), lambda at: at.memory.deflection and at.memory.deflection.covariance,
+    ),
+    Field(
+        "stiffness", "N/m", "stiffness of the tip along the axes of its frame", "controller", vector,
+        lambda at: at.tick.setpoint.stiffness and at.tick.setpoint.stiffness.axes, streamed=True,
+    ),
+)  # fmt: skip
+FIELDS = (*_RECORDED, *ESTIMATES)
 
 
 class Channel(NamedTuple):
@@ -38,93 +218,51 @@ class Channels:
     """Channels of telemetry for one robot: the names, units and indices of its columns."""
 
     def __init__(self, robot: Robot) -> None:
-        self.all: tuple[Channel, ...] = tuple(_channels(robot))
-        self._width = len(self.all)
-        groups = [channel.name.rsplit(".", 1)[0] for channel in self.all]
-        self._at = {name: slice(groups.index(name), groups.index(name) + groups.count(name)) for name in groups}
-        self._target = slice(self._at["target_new"].start, self._at["target_new"].start + TARGET_WIDTH)
+        found = list[Channel]()
+        self._at = dict[str, slice]()
+        for field in FIELDS:
+            parts = field.parts(robot, field.unit)
+            self._at[field.name] = slice(len(found), len(found) + len(parts))
+            found += [Channel(f"{field.name}.{part}" if part else field.name, unit) for part, unit in parts]
+        self.all = tuple(found)
+        self.partial = robot.sensed not in WHOLE_LOAD  #: whether the force sensors measure a part of the load only
+        paths = {field.read or field.name: self._place(field) for field in _RECORDED if isinstance(field.read, str)}
+        self._attributes, self._places = attrgetter(*paths), tuple(paths.values())
+        self._functions = [(self._place(field), field.read) for field in _RECORDED if callable(field.read)]
+        self._estimates = slice(self._at[ESTIMATES[0].name].start, len(found))
+
+    def _place(self, field: Field) -> int | slice:
+        """Return the column of a number or the slice of a group; writing one number takes half the time of a slice."""
+        return self._at[field.name].start if field.parts is one else self._at[field.name]
 
     def __len__(self) -> int:
         return len(self.all)
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Names of the groups of channels, which `of` accepts."""
+        """Names of the fields, which `of` accepts."""
         return tuple(self._at)
 
     def of(self, rows: Array, group: str) -> Array:
-        """Return the columns of a group of channels, for example (..., 3) for `tip_measured`."""
+        """Return the columns of a field, for example (..., 3) for `tip_measured`."""
         return rows[..., self._at[group]]
 
-    def row(
-        self,
-        time: float,
-        state: State,
-        phase: int,
-        joints: JointReading,
-        wrenches: WrenchReading,
-        frame: TipReading | None,
-        tick: Tick,
-        truth: GroundTruth | None,
-        troubles: tuple[int, int, int] = (0, 0, 0),
-        request: StreamRequest | None = None,
-        target: Array | None = None,
-        contact_start: float = 0.0,
-    ) -> Array:
+    def row(self, at: TickRecord) -> Array:
         """Return the row of one tick: its numbers in the order of the channels in `all`.
 
-        Between tracker frames `tip_new` is 0 and the values of the last frame are repeated. Without a virtual lab there
-        is no ground truth: `truth_known` and the true channels are 0. `phase` is a `task.Phase`, 0 without a run.
-        `troubles` are the severities of faults of stages, tracker and force sensors: 0 without a fault, `ABSENT`
-        without the device; the channels of an absent device have no meaning. Without force sensors the channels
-        `FORCE_CHANNELS` are the force from the deflection. `request` is the latest setpoint request
-        for a streamed tip: its `request_kind` is 1 for a position and 2 for a velocity. `target` (14,) is from
-        `TargetTrack.numbers`; without it the channels of the target are 0. `contact_start` is the time at which a tip
-        that holds a force has touched the obstacle [s], 0 without contact. The channels `stiffness` are the present
-        stiffness of the tip along the axes of its frame, 0 without a stiffness or without a motion.
+        Without sensors for the whole load, force and variance are those of the force from the deflection.
         """
-        memory, now = tick.memory, tick.memory.estimate
-        true_tip, true_force, _, true_direction = truth or _NO_TRUTH
-        new, frame_time = (False, 0.0) if frame is None else (True, frame.time)
-        stages, tracker, sensors = troubles
-        row = np.zeros(self._width)
-        _fill(
-            row, time, int(state), int(phase), new, frame_time, stages, tracker, sensors, truth is not None,
-            true_tip, true_force,
-            joints.positions, tick.command, joints.sent, wrenches.wrenches, tick.load.force, tick.load.moment,
-            memory.tip, now.loaded.numbers, now.unloaded.numbers, memory.origin, tick.setpoint.position,
-            tick.u_int, tick.sigma, tick.at_bound, now.numbers,
-            _ZERO if true_direction is None else true_direction,
-            *(_NO_DEFLECTION if memory.deflection is None else memory.deflection[:2]), tick.clearance, contact_start,
-        )  # fmt: skip
-        if request is not None and request.setpoint is not None:
-            self._add_request(row, request.setpoint, memory.origin)
-        if memory.direction is not None:
-            self._add_directions(row, tick, memory.direction)
-        if target is not None:
-            row[self._target] = target
-        if tick.setpoint.stiffness is not None:
-            self.of(row, "stiffness")[:] = tick.setpoint.stiffness.axes
-        if sensors == ABSENT and memory.deflection is not None:
-            self.of(row, "force_filtered")[:] = memory.deflection.force
-            self.of(row, "force_variance")[:] = memory.deflection.covariance[[0, 3, 5]]
+        row, deflection = np.zeros(len(self.all)), at.memory.deflection
+        for where, value in zip(self._places, self._attributes(at), strict=True):
+            row[where] = value
+        for where, read in self._functions:
+            if (value := read(at)) is not None:
+                row[where] = value
+        row[self._estimates] = at.estimate.vectors
+        if (self.partial or at.trouble[2] == ABSENT) and deflection is not None:
+            self.of(row, "force_filtered")[:] = deflection.force
+            self.of(row, "force_variance")[:] = deflection.covariance[[0, 3, 5]]
         return row
-
-    def _add_request(self, row: Array, request: SetpointRequest, origin: Array) -> None:
-        """Write the setpoint request of a streaming client to a row; `origin` (3,) is the origin of setpoints [m]."""
-        self.of(row, "request_kind")[:] = 1.0 if request.position is not None else 2.0
-        self.of(row, "request_time")[:] = request.time
-        if request.position is not None:
-            self.of(row, "request")[:] = origin + request.position
-        self.of(row, "request_velocity")[:] = request.velocity
-
-    def _add_directions(self, row: Array, tick: Tick, known: DirectionEstimate) -> None:
-        """Write the measured, observed and desired direction of the tip to a row."""
-        desired = tick.setpoint.direction
-        if known.measured_once:
-            self.of(row, "direction_measured")[:] = known.measured
-        self.of(row, "direction_observed")[:] = known.observed
-        self.of(row, "direction_desired")[:] = known.origin if desired is None else desired
 
     def frozen_row(
         self,
@@ -149,177 +287,30 @@ class Channels:
         return row
 
 
-_ZERO = np.zeros(3)
-_NO_TRUTH = GroundTruth(_ZERO, _ZERO)
-_NO_DEFLECTION = np.zeros(3), np.zeros(6)
-
-
-#: Numbers of columns that only some rows have: of a setpoint request, of the measured, observed and desired direction,
-#: and of a target.
-REQUEST_WIDTH, DIRECTIONS_WIDTH, TARGET_WIDTH = 8, 9, 14
-
-
-@compiled
-def _put(row: Array, at: int, values: Array) -> int:
-    """Write values to the columns from index `at` on; return the index after the last one."""
-    for k in range(values.shape[0]):
-        row[at + k] = values[k]
-    return at + values.shape[0]
-
-
-@compiled
-def _fill(
-    row: Array, time: float, state: int, phase: int, new: bool, frame_time: float,
-    stages: int, tracker: int, sensors: int, truth_known: bool, true_tip: Array, true_force: Array,
-    positions: Array, command: Array, sent: Array, wrenches: Array, force: Array, moment: Array,
-    tip: Array, loaded: Array, unloaded: Array, origin: Array, setpoint: Array,
-    u_int: Array, sigma: Array, at_bound: Array, estimate: Array,
-    true_direction: Array, deflection_force: Array, deflection_covariance: Array, clearance: float,
-    contact_start: float,
-) -> None:  # fmt: skip
-    """Fill the channels that every row has, in the order of `_channels`; the other channels keep their values.
-
-    The function is compiled, because numpy calls would take longer than the model. `_put` is not inlined:
-    inlined, it made this function take a tenth of the time of all compilations.
-    """
-    shape, free, known = fields(loaded), fields(unloaded), estimate_fields(estimate)
-    row[0], row[1], row[2], row[3], row[4], row[5] = time, state, phase, 0.0, new, frame_time
-    row[6], row[7], row[8], row[9] = loaded[PASSES], unloaded[PASSES], estimate[FRAME_USED], loaded[STABILITY]
-    row[10], row[11], row[12], row[13] = stages, tracker, sensors, truth_known
-    at = _put(row, 14, true_tip)
-    at = _put(row, at, true_force)
-    at = _put(row, at, positions)
-    at = _put(row, at, command)
-    at = _put(row, at, sent)
-    for i in range(wrenches.shape[0]):
-        at = _put(row, at, wrenches[i])
-    at = _put(row, at, force)
-    at = _put(row, at, moment)
-    at = _put(row, at, tip)
-    at = _put(row, at, shape.tip)
-    at = _put(row, at, free.tip)
-    at = _put(row, at, origin + setpoint)
-    at = _put(row, at, u_int)
-    at = _put(row, at, known.velocity_observed - u_int)
-    at = _put(row, at, sigma)
-    at = _put(row, at, at_bound)
-    at = _put(row, at, known.tips[int(estimate[NEWEST_INDEX])] + known.bias)
-    for i in range(known.vectors.shape[0]):
-        at = _put(row, at, known.vectors[i])
-    at = _put(row, at + REQUEST_WIDTH + DIRECTIONS_WIDTH, true_direction)
-    at = _put(row, at + TARGET_WIDTH, deflection_force)
-    at = _put(row, at, deflection_covariance)
-    row[at], row[at + 1] = clearance, contact_start
-
-
-def _channels(robot: Robot) -> list[Channel]:
-    def vector(group: str, unit: str) -> list[Channel]:
-        return [Channel(f"{group}.{axis}", unit) for axis in XYZ]
-
-    def joints(group: str, per: str = "") -> list[Channel]:
-        return [Channel(f"{group}.{joint.name}", joint.unit + per) for joint in robot.joints]
-
-    raw = [
-        Channel(f"wrench_raw.{tube.name}_{kind}{axis}", unit)
-        for tube in robot.tubes
-        for kind, unit in (("f", "N"), ("m", "N m"))
-        for axis in XYZ
-    ]
-    sigma = [Channel(f"sigma.{number}", "m/s") for number in range(1, min(3, len(robot.joints)) + 1)]
-    return [
-        Channel("time", "s"),
-        Channel("state", ""),
-        Channel("phase", ""),
-        Channel("estimates_frozen", ""),
-        Channel("tip_new", ""),
-        Channel("tip_time", "s"),
-        Channel("passes.loaded", ""),
-        Channel("passes.unloaded", ""),
-        Channel("observer_used", ""),
-        Channel("stability", ""),
-        *[Channel(f"trouble.{device}", "") for device in ("stages", "tracker", "sensors")],
-        Channel("truth_known", ""),
-        *vector("tip_true", "m"),
-        *vector("force_true", "N"),
-        *joints("joints"),
-        *joints("velocity_commanded", "/s"),
-        *joints("velocity_sent", "/s"),
-        *raw,
-        *vector("force", "N"),
-        *vector("moment", "N m"),
-        *vector("tip_measured", "m"),
-        *vector("tip_estimated", "m"),
-        *vector("tip_unloaded", "m"),
-        *vector("tip_desired", "m"),
-        *vector("u_int", "m/s"),
-        *vector("delta", "m/s"),
-        *sigma,
-        *[Channel(f"at_bound.{joint.name}", "") for joint in robot.joints],
-        *vector("tip_observed", "m"),
-        *[channel for name, unit in VECTOR_UNITS.items() for channel in vector(name, unit)],
-        Channel("bias_covariance.bias", "m^2"),
-        Channel("bias_covariance.both", "m^2/s"),
-        Channel("bias_covariance.drift", "m^2/s^2"),
-        *vector("force_estimated", "N"),
-        *vector("force_variance", "N^2"),
-        *[Channel(f"force_covariance.{pair}", "N^2") for pair in ("xy", "xz", "yz")],
-        *vector("moment_mismatch", "N m"),
-        Channel("load_estimate.bandwidth", "Hz"),
-        Channel("load_estimate.misfit", ""),
-        Channel("load_estimate.since_tare", "s"),
-        Channel("request_kind", ""),
-        Channel("request_time", "s"),
-        *vector("request", "m"),
-        *vector("request_velocity", "m/s"),
-        *vector("direction_measured", ""),
-        *vector("direction_observed", ""),
-        *vector("direction_desired", ""),
-        *vector("direction_true", ""),
-        Channel("target_new", ""),
-        Channel("target_followed", ""),
-        *vector("target_measured", "m"),
-        *vector("target_predicted", "m"),
-        *vector("target_offset", "m"),
-        *vector("target_true", "m"),
-        *vector("force_by_deflection", "N"),
-        *[Channel(f"force_by_deflection_covariance.{pair}", "N^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")],
-        Channel("clearance", "m"),
-        Channel("contact_start", "s"),
-        *vector("stiffness", "N/m"),
-    ]
-
-
-TRACKER_CHANNELS = frozenset({
-    "tip_measured", "tip_time", "direction_measured", "target_measured", "force_by_deflection",
-    "force_by_deflection_covariance",
-})  # fmt: skip
-SENSOR_CHANNELS = frozenset({
-    "force", "force_filtered", "force_estimated", "force_variance", "force_covariance", "moment", "moment_mismatch",
-    "deflection", "deflection_filtered", "deflection_rate",
-})  # fmt: skip
-#: Channels that a tracker alone provides as well, from the deflection of the tip.
-FORCE_CHANNELS = frozenset({"force", "force_filtered", "force_variance"})
-TRUTH_CHANNELS = frozenset({"tip_true", "force_true", "direction_true", "target_true"})
-#: Channels that each tick of the controller updates.
-COMPUTED_CHANNELS = TRACKER_CHANNELS | SENSOR_CHANNELS | TRUTH_CHANNELS | {
-    "tip_estimated", "tip_desired", "direction_observed", "direction_desired", "u_int", "target_offset",
-    "clearance", "contact_start", "stiffness",
-}  # fmt: skip
-#: Channels of unit vectors; they are 0 if the tip's direction is neither measured nor controlled.
-DIRECTION_CHANNELS = ("direction_measured", "direction_observed", "direction_desired", "direction_true")
+#: Writers whose fields a tick without usable samples does not change.
+_FROZEN: tuple[Writer, ...] = ("tracker", "force", "force or deflection", "controller", "lab")
 
 
 def stale_groups(channels: Channels, row: Array) -> frozenset[str]:
-    """Return the groups of channels whose values in a row are stale or were never known."""
-    if channels.of(row, "estimates_frozen")[0]:
-        return COMPUTED_CHANNELS
-    _, tracker, sensors = channels.of(row, "trouble")
-    unknown = (
-        (TRACKER_CHANNELS, tracker >= Severity.HOLD or tracker == ABSENT),
-        (SENSOR_CHANNELS, sensors >= Severity.HOLD),
-        (SENSOR_CHANNELS - FORCE_CHANNELS, sensors == ABSENT),
-        (FORCE_CHANNELS, sensors == ABSENT and (tracker >= Severity.HOLD or tracker == ABSENT)),
-        (TRUTH_CHANNELS, not channels.of(row, "truth_known")[0]),
-    )
-    nowhere = (group for group in DIRECTION_CHANNELS if not channels.of(row, group).any())
-    return frozenset(nowhere).union(*(groups for groups, old in unknown if old))
+    """Return the fields whose values in a row are stale or were never known."""
+    frozen = bool(channels.of(row, "estimates_frozen")[0])
+    _, tracker, sensors = channels.of(row, "trouble").tolist()
+    stale = _stale(frozen, tracker, sensors, channels.partial, bool(channels.of(row, "truth_known")[0]))
+    return stale.union(group for group in DIRECTIONS if not channels.of(row, group).any())
+
+
+@lru_cache(maxsize=64)
+def _stale(frozen: bool, tracker: int, sensors: int, partial: bool, truth_known: bool) -> frozenset[str]:
+    def silent(trouble: int) -> bool:
+        return trouble >= Severity.HOLD or trouble == ABSENT
+
+    without: dict[Writer, bool] = {
+        "sensors": silent(sensors), "tracker": silent(tracker), "lab": not truth_known,
+        "force": partial or silent(sensors),
+        "force or deflection": silent(tracker) if partial or sensors == ABSENT else silent(sensors),
+    }  # fmt: skip
+    return frozenset(field.name for field in FIELDS if (frozen and field.by in _FROZEN) or without.get(field.by, False))
+
+
+#: Names of the unit vectors; they are 0 while the tip's direction is neither measured nor controlled.
+DIRECTIONS = tuple(field.name for field in FIELDS if field.parts is direction)

@@ -14,8 +14,7 @@ from rich.text import Text
 from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.robot import Array
-from station.config.robots import RobotFile
-from station.config.strict import ConfigError, toml_lines
+from station.calibration.files import robot_text
 from station.design.outcome import DesignResult, EvaluatedDesign
 from station.design.search import CANDIDATES_FILE, IMPOSSIBLE_COST
 from station.design.study import largest
@@ -27,12 +26,12 @@ NUMBERS_FILE, ROBOT_FILE = "design.json", "robot.toml"
 TABLE_ROWS = (
     ("largest_force_n", "largest held force [N]"),
     ("least_margin", "smallest margin of stability under the task's forces [1]"),
-    ("least_dexterity_mm_s", "smallest dexterity under them [mm/s]"),
-    ("least_stiffness_n_m", "smallest stiffness under them [N/m]"),
+    ("least_dexterity_mm_s", "smallest dexterity under the task's forces [mm/s]"),
+    ("least_stiffness_n_m", "smallest stiffness under the task's forces [N/m]"),
     ("exact_away_mm", "exact rod: largest distance from the points [mm]"),
     ("exact_margin", "exact rod: smallest margin [1]"),
-    ("exact_away_under_largest_mm", "the same under the largest force [mm]"),
-    ("exact_margin_under_largest", "the same under the largest force [1]"),
+    ("exact_away_under_largest_mm", "exact rod: largest distance under the largest force [mm]"),
+    ("exact_margin_under_largest", "exact rod: smallest margin under the largest force [1]"),
 )
 #: Label on every figure: origin of its data.
 ORIGIN_LABEL = "computed by the loaded model"
@@ -79,29 +78,14 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     return [*worse, *ends, *([summary["warning"]] if summary["warning"] else [])]
 
 
-def robot_text(file: RobotFile) -> str:
-    """Return a robot as the TOML text of its file."""
-    table = file.model_dump(mode="json", exclude_none=True)
-    parts = {key: table.pop(key) for key in ("base", "workspace", "tubes", "joints") if key in table}
-    lines = toml_lines(table)
-    for name, part in parts.items():
-        for each in part if isinstance(part, list) else [part]:
-            lines += ["", f"[[{name}]]" if isinstance(part, list) else f"[{name}]", *toml_lines(each)]
-    return "\n".join(lines) + "\n"
-
-
 def write_design(folder: Path, found: DesignResult, summary: Mapping[str, Any]) -> None:
     """Write the numbers, the found robot and the report into `folder`.
 
     Raises:
         ConfigError: the folder cannot be written to.
     """
-    try:
-        (folder / ROBOT_FILE).write_text(robot_text(found.after.file), encoding="utf-8")
-        parts = _parts(folder, found, summary)
-        document.write_results(folder, summary["title"], parts, {NUMBERS_FILE: summary})
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
+    texts, parts = {ROBOT_FILE: robot_text(found.after.file)}, _parts(folder, found, summary)
+    document.write_results(folder, summary["title"], parts, {NUMBERS_FILE: summary}, texts=texts)
 
 
 def _parts(folder: Path, found: DesignResult, summary: Mapping[str, Any]) -> Iterator[str]:

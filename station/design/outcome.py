@@ -8,6 +8,7 @@ import numpy as np
 
 from core.errors import CtrError
 from core.model.cosserat import ExactRod, Rod
+from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.monitors import Margins, check_design
@@ -135,6 +136,7 @@ def _numbers(study: Study, design: EvaluatedDesign) -> dict[str, Any]:
     check, largest_check = design.exact, design.exact_largest
     return {
         "robot": design.file.name,
+        "model": Statics(design.file.robot()).discretisation,
         "times_the_load": round(outcome.load, 4),
         "largest_force_n": round(outcome.load * largest(study.file.task.forces), 4),
         "then": outcome.why,

@@ -52,7 +52,7 @@ class StudyTaskFile(Strict):
 
 
 class ParameterFile(Strict):
-    """One number of the robot's file with its range."""
+    """Number of the robot's file that the search changes, with its range."""
 
     key: str
     """TUBE.bending_stiffness, TUBE.sections.N.length or TUBE.sections.N.curvature (about x); sections count from 1"""
@@ -93,7 +93,7 @@ class StudyFile(Strict):
     task: StudyTaskFile
     """task of the tubes"""
     parameters: Annotated[tuple[ParameterFile, ...], Field(min_length=1, max_length=40, strict=False)]
-    """numbers of the tubes that are searched"""
+    """numbers of the tubes that the search changes"""
     search: SearchFile = SearchFile()
     """length of the search"""
 
@@ -124,7 +124,7 @@ class Study:
         for path, value in zip(self._paths, values, strict=True):
             _inner(table, path)[path[-1]] = float(value)
         try:
-            file = RobotFile.model_validate(table)
+            file = check(RobotFile, table, "the searched robot")
             file.limits()
         except CtrError as error:
             raise ConfigError(str(error)) from None

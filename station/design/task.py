@@ -1,7 +1,7 @@
 """Evaluation of a study's task: whether a robot keeps its tip at every point under every load, and how well.
 
-The inverse kinematics of the controller respects the limits of joints and tubes. With the model it moves the tip from
-poses all over the joint space to the first point, then from point to point without load, then under each force in
+The inverse kinematics of the controller respects the limits of joints and tubes. On the model it moves the tip from
+poses all over the joint space to the first point, then from point to point without load. Then each force is applied in
 steps. The result is quasi-static and does not include noise, delay and friction; only the virtual lab simulates them.
 """
 
@@ -11,65 +11,22 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
-from core.control.velocity_ik import inverse
-from core.errors import CtrError
+from core.control.tip_motion import Aim, move_tip
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError
+from station.design.inverse_kinematics import SAME_POSE_S, paths
 from station.design.study import Objective, StudyTaskFile
-from station.solve_many import solve_many
 
-#: Largest number of joint positions that are drawn for each requested pose. If a robot needs more, almost no pose is
-#: valid, and the robot is refused.
-MAX_DRAWS = 1000
-#: Number of compared start poses. From the poses with the tip nearest to the first point of the task, a path to this
-#: point is computed; the second constant is their largest number.
+#: Number of compared start poses, and largest number of paths to the first point of the task. The paths start at the
+#: poses whose tips are nearest to this point.
 START_POSES, MAX_WALKS = 96, 6
-#: Two poses count as equal if each joint moves from one to the other in at most this time at full speed [s].
-SAME_POSE_S = 1e-2
-#: Largest motion of the tip in a step of a path [m]; largest motion of a joint, as its duration at full speed [s].
-MAX_TIP_STEP_M, MAX_JOINT_STEP_S = 0.01, 0.5
-#: Largest number of steps to a point of the task. The steps end when the distance of the tip from the point is at most
-#: the second constant times the tolerance of the task.
-MAX_STEPS, ARRIVAL_SHARE = 60, 0.1
 #: First step in which the load grows, and largest load, both as multiples of the forces of the task.
 LOAD_STEP_SHARE, MAX_LOAD_RATIO = 0.25, 20.0
 #: Smallest step of the load, as a multiple of the forces of the task; it is the resolution of the largest load.
 LOAD_RESOLUTION = 0.01
-
-
-def spread_poses(file: RobotFile, count: int, seed: int) -> Array:
-    """Return valid poses (count, n) that a Halton sequence spreads evenly over the travel of the joints [rad or m].
-
-    Of a rotation only the turn in the middle of the travel is used, because other turns give the same shapes.
-
-    Raises:
-        ConfigError: almost no joint position of the robot is valid.
-
-    """
-    robot, limits = file.robot(), file.limits()
-    lower, upper = limits.packed[0].copy(), limits.packed[1].copy()
-    for j, joint in enumerate(robot.joints):
-        if joint.motion == "rotation" and upper[j] - lower[j] > 2.0 * np.pi:
-            middle = 0.5 * (lower[j] + upper[j])
-            lower[j], upper[j] = middle - np.pi, middle + np.pi
-    drawing = qmc.Halton(len(lower), rng=np.random.default_rng(seed))
-    found, drawn, left = list[Array](), 0, count
-    while left > 0:
-        if drawn > MAX_DRAWS * count:
-            raise ConfigError(
-                f"robot '{robot.name}': almost no joint position is valid (tubes collide or are out of order):"
-                " check lengths and travel"
-            )
-        poses = qmc.scale(drawing.random(count), lower, upper)
-        drawn += count
-        found.append(np.array([pose for pose in poses if robot.is_valid_pose(pose)]).reshape(-1, len(lower))[:left])
-        left -= len(found[-1])
-    return np.concatenate(found)
 
 
 def dexterity(jacobian: Array, speed: Array) -> Array:
@@ -108,7 +65,7 @@ class TaskResult:
     """Result of the evaluation of a robot for a task."""
 
     distance: float  #: largest distance of the tip from the points, without load [m]
-    load: float  #: largest multiple of the forces that the robot holds; 0: it misses a point or a minimum without load
+    load: float  #: largest multiple of the forces that the robot holds; 0: it fails even without load
     why: str  #: limit that prevents a larger load
     nominal: HeldLoad | None  #: poses under the task's forces; None if the robot does not hold them
     largest: HeldLoad | None  #: poses under the largest multiple of the forces that is held
@@ -179,57 +136,28 @@ class _Walker:
         self.file, self.task, self.limits = file, task, file.limits()
         self.model = Statics(file.robot())
         self.points, self.forces = np.array(task.points), np.array(task.forces)
-        self._lower, self._upper, self._speed = self.limits.packed[:3]
+        self._speed = self.limits.speed
         # Only the limits of joints and tubes apply. The workspace limit in the robot's file is for the operation of
         # a robot and does not restrict the points of a design task.
 
     def starts(self) -> Iterator[Solution]:
         """Yield different poses with the tip at the first point of the task, or as near to this point as possible."""
-        poses = spread_poses(self.file, START_POSES, 0)
-        found = solve_many(self.model, poses, np.zeros((START_POSES, 6)), threads=1)
-        distances = np.linalg.norm(found.tip - self.points[0], axis=1)
         visited: list[Array] = []
-        for row in [row for row in np.argsort(distances).tolist() if found.ok[row]][:MAX_WALKS]:
-            at, _, _ = self.go(found.at(row), self.points[0], np.zeros(6))
+        first = self._aim(self.points[0], np.zeros(6))
+        for at, _, _ in paths(self.file, self.model, self.limits, first, 0, START_POSES, MAX_WALKS):
             if all(np.abs((at.joints - other) / self._speed).max() > SAME_POSE_S for other in visited):
                 visited.append(at.joints.copy())
                 yield at
 
     def go(self, at: Solution, point: Array, wrench: Array) -> tuple[Solution, float, str]:
         """Move to a point (3,) under a wrench (6,); return the last pose, its distance [m], and why it fails or ''."""
-        close, reasons = ARRIVAL_SHARE * self.task.tolerance, ""
-        try:
-            at = self.model.solve(at.joints.copy(), wrench, at)
-            for _ in range(MAX_STEPS):
-                error = point - at.tip
-                distance = float(np.linalg.norm(error))
-                if distance <= close:
-                    break
-                lower = np.maximum(self._lower - at.joints, -MAX_JOINT_STEP_S * self._speed).clip(max=0.0)
-                upper = np.minimum(self._upper - at.joints, MAX_JOINT_STEP_S * self._speed).clip(min=0.0)
-                rows, bound = self.limits.order
-                margin = (bound - rows @ at.joints).clip(min=0.0)
-                found = inverse(
-                    at.jacobian[:3],
-                    error * min(1.0, MAX_TIP_STEP_M / distance),
-                    self._speed,
-                    lower,
-                    upper,
-                    rows,
-                    margin,
-                )
-                reasons = ", ".join(self.limits.active(at.joints, found.at_bound, found.at_row))
-                if np.abs(found.velocity / self._speed).max() < 1e-7:
-                    break
-                to = np.clip(at.joints + found.velocity, self._lower, self._upper)
-                at = self.model.solve(to, wrench, at)
-        except CtrError as failure:
-            return at, float(np.linalg.norm(at.tip - point)), str(failure)
-        distance = float(np.linalg.norm(at.tip - point))
-        if distance > self.task.tolerance:
-            cause = reasons or "no joint moves it nearer"
-            return at, distance, f"the tip stays {1e3 * distance:.2g} mm from the point ({cause})"
-        return at, distance, self._violated_minimum(at)
+        at, distance, why = move_tip(self.model, self.limits, self.limits.order, at, self._aim(point, wrench))
+        if why and distance > self.task.tolerance:
+            why = f"the tip stays {1e3 * distance:.2g} mm from the point ({why})"
+        return at, distance, why or self._violated_minimum(at)
+
+    def _aim(self, point: Array, wrench: Array) -> Aim:
+        return Aim(point, self.task.tolerance, wrench)
 
     def _violated_minimum(self, at: Solution) -> str:
         """Return a text about the task's minimum (margin, dexterity, stiffness) that a pose violates; empty: none."""

@@ -7,11 +7,13 @@ from typing import Any
 import numpy as np
 
 from core.errors import NoSolution
+from core.model.fold import margin_of_worst_tubes
 from core.model.statics import Statics
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.monitors import Margins
-from station.design.task import dexterity, spread_poses, stiffness
+from station.design.inverse_kinematics import spread_poses
+from station.design.task import dexterity, stiffness
 from station.solve_many import solve_many
 
 #: Number of poses between two progress reports.
@@ -34,6 +36,7 @@ class WorkspaceStudy:
     dexterity: Array  #: dexterity of the tip (k,) [m/s]
     stiffness: Array  #: stiffness of the tip (k,) [N/m]
     margin: Array  #: margin of stability (k,); 1: straight and unloaded, 0: the tubes snap
+    worst: Array  #: margin of the worst tubes within `Margins.uncertainty` (k,); 0: motions to this pose end in HOLD
 
 
 def workspace(file: RobotFile, force: Array, count: int, seed: int, report: Callable[[float], None]) -> WorkspaceStudy:
@@ -51,27 +54,34 @@ def workspace(file: RobotFile, force: Array, count: int, seed: int, report: Call
         piece = poses[first : first + BATCH_POSES]
         found = solve_many(model, piece, np.tile(wrench, (len(piece), 1)))
         ok = found.ok
+        worst = [
+            margin_of_worst_tubes(model, found.at(row), piece[row], Margins().uncertainty)[1]
+            for row in np.nonzero(ok)[0].tolist()
+        ]
         parts.append((
             piece[ok], found.tip[ok], dexterity(found.jacobian[ok], file.limits().speed),
             stiffness(found.compliance[ok]), found.stability[ok],
+            np.array(worst),
         ))  # fmt: skip
         report(min(first + BATCH_POSES, count) / count)
-    joints, tips, dexterities, stiffnesses, margins = (np.concatenate(part) for part in zip(*parts, strict=True))
+    joints, tips, dexterities, stiffnesses, margins, lowest = (
+        np.concatenate(part) for part in zip(*parts, strict=True)
+    )
     if len(joints) == 0:
         raise NoSolution(
             f"robot '{file.name}' has no model solution under {force.tolist()} N at any of {count} poses;"
             " reduce the force"
         )
-    return WorkspaceStudy(file, force, count, joints, tips, dexterities, stiffnesses, margins)
+    return WorkspaceStudy(file, force, count, joints, tips, dexterities, stiffnesses, margins, lowest)
 
 
 def summary(found: WorkspaceStudy) -> dict[str, Any]:
     """Return the numbers of a workspace as a JSON object, with lengths in mm."""
     cells = np.unique(np.floor(found.tips / CELL_SIZE_M).astype(np.int64), axis=0)
-    smallest_margin = Margins().stability
     return {
         "robot": found.file.name,
         "source": found.file.source,
+        "model": Statics(found.file.robot()).discretisation,
         "force_n": found.force.tolist(),
         "poses": found.requested,
         "without_shape": found.requested - len(found.joints),
@@ -84,8 +94,8 @@ def summary(found: WorkspaceStudy) -> dict[str, Any]:
         "dexterity_mm_s": _percentiles(1e3 * found.dexterity),
         "stiffness_n_m": _percentiles(found.stiffness),
         "margin": _percentiles(found.margin),
-        "held_below_margin": smallest_margin,
-        "below_it": round(float((found.margin < smallest_margin).mean()), 6),
+        "tube_uncertainty": Margins().uncertainty,
+        "may_snap": round(float((found.worst <= 0.0).mean()), 6),
     }
 
 

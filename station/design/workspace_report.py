@@ -13,8 +13,6 @@ from rich.table import Table
 from rich.text import Text
 
 from core.robot.robot import Array
-from station.config.strict import ConfigError
-from station.control.monitors import Margins
 from station.design.workspace import PERCENTILES, WorkspaceStudy
 from station.report import document, style
 from station.report.document import ReportFigure
@@ -49,8 +47,8 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
         f" counted in cells of {summary['reach_cell_mm']:g} mm.",
         f"{summary['poses']} poses are spread over the joints' travel;"
         f" {summary['without_shape']} have no model solution;"
-        f" {100.0 * summary['below_it']:.3g} % of the others have a margin below {summary['held_below_margin']:g},"
-        " at which a motion ends in HOLD.",
+        f" in {100.0 * summary['may_snap']:.3g} % of the others, tubes that differ by"
+        f" {100.0 * summary['tube_uncertainty']:g} % may snap, and a motion toward such a pose ends in HOLD.",
     ]
 
 
@@ -75,10 +73,7 @@ def write_workspace(folder: Path, found: WorkspaceStudy, summary: Mapping[str, A
     numbers = np.column_stack((found.joints, found.tips, found.dexterity, found.stiffness, found.margin))
     poses = [columns, *([f"{value:.9g}" for value in row] for row in numbers.tolist())]
     parts = _parts(folder, found, summary)
-    try:
-        document.write_results(folder, _title(summary), parts, {NUMBERS_FILE: summary}, {POSES_FILE: poses})
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write results: {error.strerror}") from None
+    document.write_results(folder, _title(summary), parts, {NUMBERS_FILE: summary}, {POSES_FILE: poses})
 
 
 def _parts(folder: Path, found: WorkspaceStudy, summary: Mapping[str, Any]) -> Iterator[str]:
@@ -149,8 +144,6 @@ def _joints(found: WorkspaceStudy) -> ReportFigure:
             centres, bands = _bands(positions, values)
             axes.fill_between(centres, bands[0], bands[2], color=style.SKY, alpha=0.4, linewidth=0, label="5 to 95 %")
             axes.plot(centres, bands[1], color=style.BLUE, label="median")
-            if label.startswith("margin"):
-                axes.axhline(Margins().stability, color=style.GREY, linestyle=":", label="motions end in HOLD below")
             if logarithmic:
                 axes.set_yscale("log")
             if axes in grid[-1]:

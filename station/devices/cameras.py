@@ -17,7 +17,7 @@ SIMULATED = "simulated"
 MODULES = ("cv2", "av")
 #: Largest number of cameras of a station; each uses a process.
 MAX_CAMERAS = 4
-#: Why one camera is not a tracker.
+#: Error text: why a single camera is not a tracker.
 ONE_CAMERA = (
     "one camera alone cannot track the tip: the distance of the tip from the camera would be uncertain by several"
     " millimetres; add a second camera"
@@ -26,6 +26,13 @@ ONE_CAMERA = (
 VIDEO_BITS_PER_PIXEL = 0.15
 
 Pixels = Annotated[float, Field(gt=0.0, le=1e5)]
+#: Columns or rows of a frame.
+FrameSize = Annotated[int, Field(ge=64, le=4096, multiple_of=2)]
+#: Bounds of the distortion coefficients. Long lenses have large ones, because their normalised radius is small.
+Radial2 = Annotated[float, Field(ge=-5.0, le=5.0)]
+Radial4 = Annotated[float, Field(ge=-100.0, le=100.0)]
+Radial6 = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Tangential = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class LensFile(Strict):
@@ -35,12 +42,12 @@ class LensFile(Strict):
     """focal lengths along the rows and along the columns, above 0 [pixel]"""
     centre: Annotated[tuple[Pixels, Pixels], Row]
     """point of the picture on the optical axis: column and row, above 0 [pixel]"""
-    distortion: Annotated[tuple[float, float, float, float, float], Row] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 of OpenCV"""
+    distortion: Annotated[tuple[Radial2, Radial4, Tangential, Tangential, Radial6], Row] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 of OpenCV; their magnitudes are at most 5, 100, 0.5, 0.5 and 1000 [-]"""
 
 
 class SimulationFile(Strict):
-    """What a simulated camera does differently from an ideal one; the station does not know these values."""
+    """Errors of a simulated camera, compared with an ideal one; the station does not know these values."""
 
     noise: Annotated[float, Field(ge=0.0, le=50.0)] = 2.0
     """standard deviation of the noise of a pixel, of 255 grey levels [level]"""
@@ -59,25 +66,25 @@ class SimulationFile(Strict):
 
 
 class CameraFile(Strict):
-    """A camera that looks at the robot."""
+    """A camera that views the robot."""
 
     device: Annotated[str, Field(min_length=1, max_length=200)] = SIMULATED
     """`simulated`: the virtual lab renders the frames; otherwise the stable path of a USB camera, which `ls
     /dev/v4l/by-id` lists, or of a video file"""
-    width: Annotated[int, Field(ge=64, le=4096, multiple_of=2)] = 640
+    width: FrameSize = 640
     """columns of a frame, an even number"""
-    height: Annotated[int, Field(ge=64, le=4096, multiple_of=2)] = 480
+    height: FrameSize = 480
     """rows of a frame, an even number"""
     rate: Annotated[float, Field(ge=1.0, le=120.0)] = 30.0
     """frames per second, at most 120 [1/s]"""
     latency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.040
     """time from the exposure to the arrival of a frame, which the station subtracts, at most 1 [s]"""
     lens: LensFile | None = None
-    """result of a calibration of the lens; without it a USB camera shows no overlay. A simulated camera has by default
-    a focal length of one picture width and no distortion"""
+    """result of a calibration of the lens. A USB camera without `lens` shows no overlay; a simulated camera has by
+    default a focal length of one picture width and no distortion"""
     pose: Mount | None = None
-    """pose of the camera in the world: its x axis is along the rows, its y axis along the columns, and z looks at the
-    robot; without it a USB camera shows no overlay. A simulated camera is by default 0.4 m next to the robot"""
+    """pose of the camera in the world: its x axis is along the rows, its y axis along the columns, and its z axis
+    points at the robot. A USB camera without `pose` shows no overlay; a simulated one is 0.4 m from the robot"""
     ball: Literal["green", "red", "blue"] = "green"
     """colour of the ball at the tip, if the camera tracks the tip"""
     simulation: SimulationFile | None = None
@@ -86,7 +93,7 @@ class CameraFile(Strict):
     @model_validator(mode="after")
     def _simulation_of_a_simulated_camera(self) -> Self:
         if self.simulation is not None and not self.simulated:
-            raise ValueError(f"simulation belongs to device = '{SIMULATED}'; remove it")
+            raise ValueError(f"the table simulation needs device = '{SIMULATED}'; remove it for a real camera")
         return self
 
     @property
@@ -110,7 +117,7 @@ class CameraFile(Strict):
 
 #: Each component of the rotation vector of a third of a turn about (1, 1, 1) [rad].
 _THIRD_TURN = 2.0 * math.pi / math.sqrt(27.0)
-#: Default pose of a simulated camera: it looks along the world's y axis, with z to the right and x down.
+#: Default pose of a simulated camera: its optical axis is along the world's y; its picture has z to the right, x down.
 SIDE_POSE = Mount(position=(0.02, -0.4, 0.13), rotation_vector=(-_THIRD_TURN, -_THIRD_TURN, -_THIRD_TURN))
 
 CamerasFile = Annotated[Mapping[Name, CameraFile], Field(max_length=MAX_CAMERAS)]
@@ -128,7 +135,7 @@ class CalibratedView(Strict):
 def measuring(
     cameras: Mapping[str, CameraFile], calibrated: Mapping[str, CalibratedView] = MappingProxyType({})
 ) -> dict[str, CameraFile]:
-    """Return cameras as a driver knows them: with calibrated lenses and poses, and without simulated errors."""
+    """Return the cameras as a driver may know them: with calibrated lenses and poses, and without simulated errors."""
     return {
         name: camera.model_copy(
             update={"simulation": None}

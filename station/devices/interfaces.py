@@ -27,7 +27,7 @@ class Condition(StrEnum):
 
 #: Kinds of devices. A bench may lack the tracker and the force sensors.
 DeviceKind = Literal["stages", "tracker", "sensors"]
-#: Number in telemetry, instead of the severity of a fault, for a device that the bench does not have.
+#: Value that telemetry reports in place of a fault's severity for a device that the bench does not have.
 ABSENT = -1
 
 
@@ -44,7 +44,7 @@ class DeviceFault(NamedTuple):
     """A fault of a device."""
 
     severity: Severity
-    text: str  #: what has happened and what to do, in words without addresses
+    text: str  #: what has happened and what to do, for the operator, without addresses
     details: str = ""  #: device, address and raw values, for the person who repairs it
 
     def __str__(self) -> str:
@@ -59,16 +59,16 @@ def with_details(text: str, details: str) -> str:
 class JointReading(NamedTuple):
     """Positions of the stages."""
 
-    positions: Array  #: (n,) [rad or m]; NaN for a stage that has never answered
-    sent: Array  #: (n,) velocities that were sent, after limits and quantisation [rad/s or m/s]
+    positions: Array  #: (n,) positions of the joints [rad or m]; NaN for a stage that has never answered
+    sent: Array  #: (n,) velocities that were sent to the stages, limited and quantised [rad/s or m/s]
 
 
 class TipReading(NamedTuple):
     """One tracker frame with a valid position."""
 
-    frame: int  #: number counted by the tracker
+    frame: int  #: number of the frame, counted by the tracker
     time: float  #: time of the measurement, computed from the frame number instead of the arrival [s]
-    position: Array  #: (3,) world frame [m]
+    position: Array  #: (3,) position of the tip, world frame [m]
     target: Array | None = None  #: (3,) position of the target's coil, world frame [m]; None: not visible
     direction: Array | None = None  #: (3,) unit vector along the tip; None: not measured by this tracker
 
@@ -84,8 +84,8 @@ class WrenchReading(NamedTuple):
 class GroundTruth(NamedTuple):
     """True values of the virtual lab, which are recorded but never used by the controller."""
 
-    tip: Array  #: (3,) [m]
-    force: Array  #: (3,) at the tip [N]
+    tip: Array  #: (3,) position of the tip [m]
+    force: Array  #: (3,) force at the tip [N]
     target: Array | None = None  #: (3,) position of the moving target [m]; None: no target
     direction: Array | None = None  #: (3,) unit vector along the tip; None: not computed
 
@@ -140,7 +140,7 @@ class Stages(Device, Protocol):
         ...
 
     def stop(self, now: float) -> None:
-        """Stop every axis that can be reached, before any queued message."""
+        """Stop every axis that can be reached; the stop is sent before all queued messages."""
         ...
 
 
@@ -168,7 +168,7 @@ EmergencyStop = Callable[[Clock], str]
 
 
 class Tracker(Device, Protocol):
-    """Measures the position of the tip."""
+    """A device that measures the position of the tip."""
 
     def poll(self, now: float) -> TipReading | None:
         """Return the newest valid frame that arrived since the last poll, or None."""
@@ -206,7 +206,7 @@ class Devices:
 
     @cached_property
     def by_kind(self) -> Mapping[DeviceKind, Device]:
-        """The devices that the bench has."""
+        """The devices of the bench by kind; a kind that the bench does not have is missing."""
         all_kinds: dict[DeviceKind, Device | None] = {
             "stages": self.stages, "tracker": self.tracker, "sensors": self.sensors,
         }  # fmt: skip
@@ -214,5 +214,5 @@ class Devices:
 
     @cached_property
     def no_fault(self) -> tuple[int, int, int]:
-        """Severities of stages, tracker and force sensors without a fault: 0, or `ABSENT`."""
+        """Severities of stages, tracker and force sensors if none has a fault: 0, or `ABSENT` for a missing device."""
         return 0, ABSENT if self.tracker is None else 0, ABSENT if self.sensors is None else 0

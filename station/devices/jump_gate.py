@@ -1,11 +1,11 @@
-"""Test of a tracker's positions for jumps."""
+"""Test whether a position of a tracker has jumped."""
 
 import math
 
-#: Largest speed of the tip [mm/s] and distance of its jitter [mm]; a position further away counts as a jump, until this
-#: number of consistent frames confirms it.
+#: Largest speed of the tip [mm/s], largest jitter of its position [mm], and number of consistent frames that confirm a
+#: position beyond both; until then such a position counts as a jump.
 MAX_COIL_SPEED, JITTER_MM, FRAMES_TO_ACCEPT_JUMP = 500.0, 2.0, 10
-#: Longest time for which the tip may have moved since its last good position, in the test for jumps: two frames [s].
+#: Longest time of motion since the last good position that the test assumes: two frames [s].
 MAX_MOTION_TIME_S = 0.05
 
 
@@ -31,6 +31,6 @@ class JumpGate:
     def _near(self, before: tuple[float, tuple[float, ...]] | None, here: tuple[float, tuple[float, ...]]) -> bool:
         if before is None:
             return True
-        # The limited time prevents that a distant position is accepted at once after a long gap.
+        # Without the limit of the time any distant position would be accepted at once after a long gap.
         reach = JITTER_MM + MAX_COIL_SPEED * min(max(0.0, here[0] - before[0]), MAX_MOTION_TIME_S)
         return math.dist(before[1], here[1]) <= reach

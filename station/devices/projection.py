@@ -1,4 +1,4 @@
-"""Projection of points of the world to a camera's picture, with OpenCV's lens model but without OpenCV."""
+"""Projection of points in the world to a camera's picture: OpenCV's lens model, computed without OpenCV."""
 
 from typing import NamedTuple
 
@@ -50,7 +50,7 @@ class CameraView(NamedTuple):
         return np.column_stack((fx * across + cx, fy * down + cy))
 
     def straightened(self, pixel: Array) -> tuple[float, float]:
-        """Return x/z and y/z, in the camera's frame, of the points that are seen at a pixel (2,), column and row."""
+        """Return x/z and y/z, in the camera's frame, of every point that appears at a pixel (2,): column and row."""
         (fx, fy), (cx, cy) = self.matrix[[0, 1], [0, 1]].tolist(), self.matrix[:2, 2].tolist()
         seen_x, seen_y = (float(pixel[0]) - cx) / fx, (float(pixel[1]) - cy) / fy
         k1, k2, p1, p2, k3 = self.distortion.tolist()

@@ -1,34 +1,35 @@
-"""Finds drivers by name and opens the devices of a bench, all or none.
+"""Finds drivers by name and opens the devices of a bench; if one cannot be opened, all are closed again.
 
 A driver is built in, or installed with an entry point `ctr_station.devices`. An installed driver is a callable
 `open(options, robot)` that returns a device with an interface of `interfaces.py`. `options` is the device's table of
 the station file without the key `driver`. If the callable raises, the station opens no device. A callable for stages
-has an attribute `emergency_stop(options, robot, clock)`, a function by which another process stops the stages.
+has an attribute `emergency_stop(options, robot, clock)`, a function by which another process stops the stages. It may
+have an attribute `latency(options, robot)`, a function that returns the latency of the stages without opening them.
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
 from typing import Any, cast
 
 from core.errors import CtrError
+from station.config.controllers import StagesLatency
+from station.config.plugins import load
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError
 from station.devices.ati.netft import netft
 from station.devices.ati.nidaq import nidaq
+from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.tracker import aurora
-from station.devices.cia402.emergency_stop import cia402_emergency_stop
-from station.devices.cia402.stages import cia402
+from station.devices.cia402.stages import CIA402
 from station.devices.config import BenchFile
-from station.devices.gcode.emergency_stop import gcode_emergency_stop
-from station.devices.gcode.stages import gcode
+from station.devices.gcode.stages import GCODE
 from station.devices.interfaces import BaseSensors, DeviceKind, Devices, EmergencyStop, Stages, Tracker
+from station.devices.kernel.driver import StagesDriver
 from station.devices.stereo.tracker import stereo
-from station.devices.zaber.emergency_stop import zaber_emergency_stop
-from station.devices.zaber.stages import zaber
-from station.devices.zaber_ascii.emergency_stop import zaber_ascii_emergency_stop
-from station.devices.zaber_ascii.stages import zaber_ascii
+from station.devices.zaber.stages import ZABER, line_latency
+from station.devices.zaber_ascii.stages import ZABER_ASCII
 
 ENTRY_POINT_GROUP = "ctr_station.devices"
 
@@ -39,18 +40,22 @@ Opener = Callable[[], Any]
 Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
+STAGES_DRIVERS: dict[str, StagesDriver] = {
+    "zaber": ZABER,
+    "zaber_ascii": ZABER_ASCII,
+    "cia402": CIA402,
+    "gcode": GCODE,
+}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
-    "stages": {"zaber": zaber, "zaber_ascii": zaber_ascii, "cia402": cia402, "gcode": gcode},
+    "stages": {name: driver.open for name, driver in STAGES_DRIVERS.items()},
     "tracker": {"aurora": aurora, "stereo": stereo},
     "sensors": {"netft": netft, "nidaq": nidaq},
 }
-#: Emergency stops of the built-in drivers of stages.
-EMERGENCY_STOPS: dict[str, Callable[[Mapping[str, Any], RobotFile], EmergencyStop]] = {
-    "zaber": zaber_emergency_stop,
-    "zaber_ascii": zaber_ascii_emergency_stop,
-    "cia402": cia402_emergency_stop,
-    "gcode": gcode_emergency_stop,
-}
+
+
+def default_latency(tracker: str) -> float:
+    """Return the latency that a tracker's driver uses without the key `latency` [s]; 0 for an installed driver."""
+    return AuroraSettings.latency if tracker == "aurora" else 0.0
 
 
 def find(kind: DeviceKind, name: str) -> Driver:
@@ -79,36 +84,45 @@ def emergency_stop(stages: Mapping[str, Any], robot: RobotFile) -> EmergencyStop
     """
     options = dict(stages)
     name = options.pop("driver")
-    if name in BUILT_IN_DRIVERS["stages"]:
-        return EMERGENCY_STOPS[name](options, robot)
-    where, opens = _loaded("stages", name)
+    where, opens = ("", STAGES_DRIVERS[name]) if name in STAGES_DRIVERS else _loaded("stages", name)
+    if isinstance(opens, StagesDriver):
+        return opens.emergency_stop(options, robot)
     stop: Any = getattr(opens, "emergency_stop", None)
     if stop is not None and not callable(stop):
         raise ConfigError(f"{where}: its emergency_stop is not a callable emergency_stop(options, robot, clock)")
     return None if stop is None else cast(EmergencyStop, partial(cast(Any, stop), options, robot))
 
 
-def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
-    """Return the origin of an installed driver, for error messages, and the driver's callable."""
-    installed = entry_points(group=ENTRY_POINT_GROUP)
-    found = list(installed.select(name=name))
-    if not found:
-        known = [*BUILT_IN_DRIVERS[kind], *sorted({point.name for point in installed})]
-        raise ConfigError(
-            f"devices.{kind}.driver = '{name}' is not one of {', '.join(known)}; "
-            f"a custom driver needs an entry point of the group {ENTRY_POINT_GROUP}"
-        )
-    if len(found) > 1:
-        raise ConfigError(
-            f"devices.{kind}.driver = '{name}' is installed more than once: "
-            f"{', '.join(map(_origin, found))}; remove all but one"
-        )
-    (point,) = found
-    where = f"devices.{kind}.driver = '{point.name}' ({_origin(point)})"
+def stages_latency(stages: Mapping[str, Any], robot: RobotFile) -> StagesLatency:
+    """Return the latency of the stages in `[devices.stages]`, from the driver's options; no device is opened.
+
+    For an installed driver without the attribute `latency`, return the latency of Zaber T-series stages on one line.
+
+    Raises:
+        ConfigError: an option is invalid, or the latency of an installed driver is not two times of 0 ... 1 s.
+    """
+    options = dict(stages)
+    name = options.pop("driver")
+    if name in STAGES_DRIVERS:
+        return STAGES_DRIVERS[name].latency(options, robot)
+    where, opens = _loaded("stages", name)
+    latency: Any = getattr(opens, "latency", None)
+    if latency is None:
+        return line_latency(len(robot.joints))
     try:
-        opens = point.load()
-    except (Exception, SystemExit) as error:  # an import of foreign code can raise anything
-        raise ConfigError(f"{where} cannot be loaded: {type(error).__name__}: {error}") from error
+        found = StagesLatency(*map(float, latency(options, robot)))
+    except CtrError:
+        raise
+    except Exception as error:  # a foreign function can raise anything
+        raise ConfigError(f"{where}: its latency function raised {type(error).__name__}: {error}") from error
+    if not all(math.isfinite(value) and 0.0 <= value <= 1.0 for value in found):
+        raise ConfigError(f"{where}: its latency is {tuple(found)} s; expected interval and delay within 0 ... 1 s")
+    return found
+
+
+def _loaded(kind: DeviceKind, name: str) -> tuple[str, Callable[..., Any]]:
+    """Return a description of an installed driver, for messages, and the driver's callable."""
+    where, opens = load(ENTRY_POINT_GROUP, name, f"devices.{kind}.driver", tuple(BUILT_IN_DRIVERS[kind]))
     if not callable(opens):
         raise ConfigError(f"{where} is not a callable open(options, robot)")
     return where, opens
@@ -128,11 +142,6 @@ def _opened(
     return device
 
 
-def _origin(point: EntryPoint) -> str:
-    """Return the module, the attribute and the package of an entry point, for error messages."""
-    return point.value if point.dist is None else f"{point.value} of {point.dist.name}"
-
-
 class OpenError(CtrError):
     """A device cannot be opened; the text names its table in the station file, its port and what to do."""
 
@@ -148,7 +157,7 @@ def plan(bench: BenchFile, robot: RobotFile) -> dict[DeviceKind, Opener]:
         table: Mapping[str, Any] | None = getattr(bench, kind)
         if table is None:
             continue
-        options = dict(table)
+        options = {key: value for key, value in table.items() if key != "at" or kind != "sensors"}
         openers[kind] = find(kind, options.pop("driver"))(options, robot)
     return openers
 

@@ -1,7 +1,7 @@
 """Pages of the site: the repository's Markdown files at their places in the site, and the generated reference.
 
-Every text has one source. `PAGES` names the page of each Markdown file outside `pages/`; links between files become
-links between pages, and a link to a file that is not a page becomes its name. The reference is generated from the
+Every text has one source. `PAGES` names the page of each Markdown file outside `pages/`. Links between files become
+links between pages; a link to a file that is not a page becomes its name. The reference is generated from the
 code: commands from the parser, REST from the OpenAPI description, channels from telemetry, the API from docstrings.
 """
 
@@ -25,15 +25,13 @@ sys.path.insert(0, str(ROOT))
 
 #: Page of each Markdown file, by the file's path in the repository.
 PAGES = {
-    "README.md": "overview.md",
+    "README.md": "index.md",
     "CHANGELOG.md": "changes.md",
     "CONTRIBUTING.md": "how-to/contribute.md",
     ".github/SECURITY.md": "how-to/security.md",
     "tests/README.md": "how-to/tests.md",
     "core/README.md": "explanations/model.md",
     "station/README.md": "explanations/station.md",
-    "station/FILES.md": "reference/files.md",
-    "station/benchmarks/MEASURED.md": "reference/measured.md",
     "station/calibration/README.md": "how-to/calibrate.md",
     "station/design/README.md": "how-to/design.md",
     "station/devices/README.md": "how-to/devices.md",
@@ -42,7 +40,7 @@ PAGES = {
     "station/docs/glossary.md": "reference/glossary.md",
     "station/docs/reviewer.md": "tutorials/reviewer.md",
     "station/docs/student.md": "tutorials/student.md",
-    "station/docs/decisions/README.md": "explanations/decisions.md",
+    "station/docs/decisions.md": "explanations/decisions.md",
     "station/experiments/README.md": "how-to/experiments.md",
     "station/gym/README.md": "how-to/gym.md",
     "station/lab/README.md": "explanations/lab.md",
@@ -52,35 +50,42 @@ PAGES = {
     "web/README.md": "explanations/web.md",
     "web/gateway/README.md": "how-to/gateway.md",
 }
-#: Modules of each page of the Python API: files and folders of the repository.
+#: Modules of each page of the Python API: files of the repository.
 API = {
-    "robot": ("The robot, and the limits of its joints.", ["core/robot", "core/errors.py"]),
-    "model": ("The loaded model: shape, Jacobian and compliance.", ["core/model"]),
-    "control": ("The control law; `step` is one tick.", ["core/control"]),
-    "calibration": ("Fits of frames, sensors and tubes.", ["core/calibration"]),
+    "robot": ("The robot, and the limits of its joints.", ["core/robot/[!_]*.py", "core/errors.py"]),
+    "model": ("The loaded model: shape, Jacobian and compliance.", ["core/model/[!_]*.py"]),
+    "control": ("The control law; `step` is one tick.", ["core/control/[!_]*.py"]),
+    "calibration": ("Fits of frames, sensors and tubes.", ["core/calibration/[!_]*.py"]),
     "client": ("The client of a running station, for scripts.", ["station/client.py", "station/solve_many.py"]),
     "devices": ("The contract of drivers.", ["station/devices/interfaces.py"]),
 }
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]*)(#[^)\s]*)?\)")
+#: Pattern of a line that only links to a source file; the site shows the file's text instead.
+SOURCE = re.compile(r"^\[`[\w.]+`\]\((\S+\.py)\)$", re.MULTILINE)
+KEYS = "reference/files.md"  #: page with the output of `ctr-station keys`
+#: Folder of `python -m tests.tools.gallery build/gallery EXPERIMENT ...`; if it exists, the site has its pages.
+GALLERY = ROOT / "build" / "gallery"
+REPLAY = "**[Play a recorded run of Fig. 10 in 3D](gallery/fig10/replay.html), or see [all runs](gallery/index.html).**"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of the repository's Markdown files, their pictures, and the generated reference."""
-    sources = {file.src_uri: f"station/docs/pages/{file.src_uri}" for file in files if file.src_uri.endswith(".md")}
-    pages = {path: uri for uri, path in sources.items()} | PAGES
-    for record in sorted((DOCS / "decisions").glob("[0-9]*.md")):
-        path = record.relative_to(ROOT).as_posix()
-        pages[path] = f"explanations/decisions/{record.name}"
+    pages = {f"station/docs/pages/{file.src_uri}": file.src_uri for file in files if file.src_uri[-3:] == ".md"} | PAGES
     pictures: dict[str, str] = {}
     for path, uri in pages.items():
         text = _linked((ROOT / path).read_text(encoding="utf-8"), Path(path).parent.as_posix(), uri, pages, pictures)
+        if uri == "index.md" and GALLERY.exists():
+            text = text.replace("\n\n", f"\n\n{REPLAY}\n\n", 1)
         if (old := files.get_file_from_path(uri)) is not None:
             files.remove(old)
         files.append(File.generated(config, uri, content=text))
     for path, uri in pictures.items():
         files.append(File.generated(config, uri, abs_src_path=str(ROOT / path)))
+    for path in (*GALLERY.glob("*.html"), *GALLERY.glob("*/*.*")):
+        uri = f"gallery/{path.relative_to(GALLERY).as_posix()}"
+        files.append(File.generated(config, uri, abs_src_path=str(path)))
     for uri, text in _reference():
-        files.append(File.generated(config, f"reference/{uri}", content=text))
+        files.append(File.generated(config, uri, content=_linked(text, "station", uri, pages, pictures)))
     return files
 
 
@@ -100,29 +105,30 @@ def _linked(text: str, folder: str, uri: str, pages: dict[str, str], pictures: d
             return f"[![{name}]({shown})]({shown})"  # a click shows the picture in its full size
         if path in pages:
             return f"[{name}]({os.path.relpath(pages[path], Path(uri).parent)}{heading})"
-        if name == path:
-            return f"`{path}`"
         return name if "`" in name else f"{name} (`{path}`)"
 
+    text = SOURCE.sub(lambda found: f"```python\n{(ROOT / folder / found[1]).read_text(encoding='utf-8')}```", text)
+    keys = f"[`ctr-station keys`]({os.path.relpath(KEYS, Path(uri).parent)})"
     parts = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
-    return "".join(part if part.startswith("```") else LINK.sub(link, part) for part in parts)
+    return "".join(
+        part if part.startswith("```") else LINK.sub(link, part).replace("`ctr-station keys`", keys) for part in parts
+    )
 
 
 def _reference() -> Iterator[tuple[str, str]]:
-    yield "commands.md", "\n".join(_commands())
-    yield "channels.md", "\n".join(_channels())
-    yield "rest.md", "\n".join(_rest())
+    from station.cli.config_reference import reference_page
+    from station.devices.driver_check.requirements import requirements_table
+
+    yield KEYS, reference_page()
+    yield "reference/commands.md", "\n".join(_commands())
+    yield "reference/channels.md", "\n".join(_channels())
+    yield "reference/rest.md", "\n".join(_rest())
+    yield "reference/requirements.md", f"# Requirements of drivers\n\n{requirements_table()}"
     for name, (text, places) in API.items():
-        modules = [_module(path) for place in places for path in _sources(ROOT / place)]
-        yield f"api/{name}.md", f"# {name.capitalize()}\n\n{text}\n\n" + "\n\n".join(f"::: {each}" for each in modules)
-
-
-def _sources(place: Path) -> list[Path]:
-    return [place] if place.is_file() else sorted(path for path in place.glob("*.py") if path.stem != "__init__")
-
-
-def _module(path: Path) -> str:
-    return path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+        found = (path for place in places for path in sorted(ROOT.glob(place)))
+        modules = [path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".") for path in found]
+        listed = "\n\n".join(f"::: {each}" for each in modules)
+        yield f"reference/api/{name}.md", f"# {name.capitalize()}\n\n{text}\n\n{listed}"
 
 
 def _cell(text: object) -> str:
@@ -205,36 +211,44 @@ def _channels() -> Iterator[str]:
     from station.config.robots import load_robot
     from station.control.states import State
     from station.control.task import Phase
-    from station.control.telemetry import Channels
+    from station.control.telemetry import FIELDS, Channels
     from station.devices.interfaces import Severity
 
     channels = Channels(load_robot("paper").robot())
     numbers = {"severities": Severity, "states": State, "phases": Phase}
     yield (
         "# Channels\n\nEach tick of the control loop has one row with these channels, for the robot `paper`. A robot "
-        "with other joints or tubes has their names instead. [Recordings](../how-to/recordings.md) describe the file, "
-        "the [glossary](glossary.md) the terms.\n"
+        "with other joints or tubes has their names instead. [Recordings](recording/README.md) describe the file, "
+        "the [glossary](docs/glossary.md) the terms.\n"
     )
     yield UNKNOWN_VALUES.format(
         **{name: ", ".join(f"{each.value} {each.name}" for each in kind) for name, kind in numbers.items()}
     )
-    yield "| group | unit | columns |\n|---|---|---|"
-    for group in channels.groups:
-        own = [each for each in channels.all if each.name.rsplit(".", 1)[0] == group]
-        columns = ", ".join(f"`{each.name.removeprefix(group + '.')}`" for each in own if each.name != group)
-        yield f"| `{group}` | {', '.join(dict.fromkeys(each.unit for each in own if each.unit))} | {columns} |"
+    yield "| group | unit | columns | meaning |\n|---|---|---|---|"
+    for field in FIELDS:
+        own = [each for each in channels.all if each.name.rsplit(".", 1)[0] == field.name]
+        columns = ", ".join(f"`{each.name.removeprefix(field.name + '.')}`" for each in own if each.name != field.name)
+        units = ", ".join(dict.fromkeys(each.unit for each in own if each.unit))
+        yield f"| `{field.name}` | {units} | {columns} | {field.meaning} |"
 
 
 def _rest() -> Iterator[str]:
     """Yield the page of all REST requests, from the OpenAPI description of an application without processes."""
+    from station.control.states import State
+    from station.service.commands import COMMANDS
     from tests.harness.web_app import web_app
 
     with tempfile.TemporaryDirectory() as folder, web_app(Path(folder)) as client:
         described = client.get("/api/openapi.json").json()
     yield (
         "# REST\n\nA running station serves this description with a form for every request at `/api/docs`. Changes "
-        "need the operator's lease; STOP never does ([server](../explanations/web.md)).\n"
+        "need the operator's lease; STOP never does ([server](../web/README.md)).\n"
     )
+    yield "## Commands\n\n| request | accepted in | moves the robot | what it does |\n|---|---|---|---|"
+    for command in COMMANDS:
+        states = "every state" if set(command.states) == set(State) else ", ".join(each.name for each in command.states)
+        text = _cell((command.__doc__ or "").split("\n\n")[0])
+        yield f"| {command.method} {command.path()} | {states} | {'yes' if command.moves else ''} | {text} |"
     for path, methods in described["paths"].items():
         for method, call in methods.items():
             yield f"\n## {method.upper()} {path}\n\n{_cell(call.get('description') or call.get('summary', ''))}\n"

@@ -2,7 +2,7 @@
 
 Reports compare the error of a controller with this bound. It is computed for the simulated real robot (plant) without
 backlash, friction and delay. A motion is divided into parts at each change of its load, and each part has its own
-bound. A part starts with the tip at its setpoint and with joints that do not anticipate the load; from then on the
+bound. A part starts with the tip at its setpoint and with joints that do not anticipate the load. From then on the
 course of the load is known. Computing a bound takes seconds. So the bounds of an experiment are computed only if the
 joints cannot compensate at least one of its loads.
 """
@@ -29,8 +29,8 @@ from station.lab.virtual_bench import virtual_bench
 
 #: Largest number of search steps, and of rounds in each step that add missing directions.
 MAX_STEPS, MAX_ROUNDS = 40, 4
-#: The search ends when a step's predicted improvement is below this fraction of the largest tip error, or when the
-#: largest tip error is below this length [m].
+#: The search ends when the predicted improvement of a step is below this fraction of the largest tip error. It also
+#: ends when the largest tip error is below this length [m].
 MIN_RELATIVE_GAIN, MIN_GAIN_M = 2e-3, 1e-6
 #: Size of the first trust region, and size below which the search ends, as joint travel in seconds at top speed [s].
 FIRST_TRUST_REGION_S, MIN_TRUST_REGION_S = 0.5, 1e-3
@@ -137,7 +137,7 @@ class _Path:
 
 
 class _Program:
-    """The linear program of each search step; joint steps are measured in seconds at top speed.
+    """The linear program of each search step; joint steps are travel times at top speed [s].
 
     Its unknowns are the joint steps at all times but the first, ordered by time, and the largest tip error [mm].
     """
@@ -232,8 +232,8 @@ def _greedy(statics: Statics, limits: Limits, joints: Array, velocity: Array, co
     return np.array(path)
 
 
-#: Interval between two time samples of a part: this fraction of the time since the load's change, limited to a smallest
-#: and a largest interval [s]. The samples are denser where the load has just changed.
+#: Interval between two time samples of a part as a fraction of the time since the load's change; smallest and largest
+#: interval [s]. The samples are denser where the load has just changed.
 RELATIVE_INTERVAL, MIN_INTERVAL_S, MAX_INTERVAL_S = 0.025, 0.010, 0.250
 #: Longest time after a change of the load for which a bound is computed [s].
 MAX_HORIZON_S = 40.0

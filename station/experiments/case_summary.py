@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from core.control.controllers import STRATEGIES
 from station.config.controllers import ControllerFile
 from station.config.loads import Load, NoLoad, WallLoad
 from station.config.motions import JointSweepMotion, WaypointsMotion
@@ -51,7 +52,7 @@ def case_facts(case: Case) -> tuple[CaseFact, ...]:
         CaseFact("motion", describe_keys(file.trajectory, turns=turns)),
         CaseFact("load", describe_keys(file.load)),
         CaseFact("control", describe_controller(file.controller)),
-        *((CaseFact("model", note.removeprefix("model: ")),) if (note := model_note(case)) else ()),
+        CaseFact("model", case.controller.statics.discretisation),
         CaseFact(
             "duration",
             f"{format_quantity(file.duration, 's')}, errors count from {format_quantity(file.counted_from, 's')} on",
@@ -65,26 +66,22 @@ def case_facts(case: Case) -> tuple[CaseFact, ...]:
     return tuple(found)
 
 
-def model_note(case: Case) -> str:
-    """Return a note about the model's integrator if the robot's curvature requires another one than the paper's.
-
-    Empty for the paper's integrator and for an integrator that the case configures.
-    """
-    return case.file.controller.model_note(case.controller.statics.robot)
-
-
 def describe_controller(file: ControllerFile) -> str:
     """Return the strategy of a controller with the values of the keys that this strategy uses."""
-    keys = KEYS_BY_STRATEGY.get(file.strategy, ())
+    # An installed outer loop may use every key, and has additional keys.
+    keys = KEYS_BY_STRATEGY.get(file.strategy, () if file.strategy in STRATEGIES else CONTROLLER_KEYS)
+    own = (
+        f"{name}: {', '.join(f'{key} {value}' for key, value in keys.items())}" for name, keys in file.options.items()
+    )
     task = () if file.task == "position" else (_words(file.task),)
     frame = () if file.stiffness is None else ("stiffness_frame",)
-    return ", ".join((_words(file.strategy), *task, *_parts(file, keys + frame)))
+    return ", ".join((_words(file.strategy), *task, *_parts(file, keys + frame), *file.tasks, *file.limits, *own))
 
 
 def describe_keys(model: Strict, *, turns: bool = True) -> str:
     """Return kind and keys of a motion, load or fault as a text with numbers and units.
 
-    `turns`: a swept joint is rotational, so its values are angles.
+    `turns`: whether a swept joint is rotational, so that its values are angles.
     """
     if isinstance(model, WaypointsMotion):
         reach = max(math.hypot(*point[1:]) for point in model.points)
@@ -139,6 +136,8 @@ def _part(key: str, value: Any, unit: str) -> str:
         return f"{len(value)} directions in {format_quantity(value[-1][0], 's')}"
     if value is True:
         return _words(key)
+    if isinstance(value, Strict):
+        return f"{_words(key)} {describe_keys(value)}"
     if isinstance(value, tuple):
         word = "across" if key == "across" else "along"
         return f"{word} {_direction(value)}" if key in DIRECTIONS else f"{_words(key)} {_row(value, unit)}"

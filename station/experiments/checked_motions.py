@@ -1,6 +1,6 @@
-"""Results of the check of this package's motions on the model, kept in the user's cache.
+"""Results of the check of this package's motions on the model, stored in the user's cache.
 
-The check of all experiments takes several seconds of processor time. The file counts as long as this package and the
+The check of all experiments takes several seconds of processor time. The file is valid as long as this package and the
 libraries that the model uses are unchanged. An unreadable or unwritable file only costs the time of another check.
 """
 
@@ -46,7 +46,7 @@ def digest(description: str) -> str:
 
 
 def read() -> Warnings:
-    """Return the motions that have passed the check."""
+    """Return the motions that have passed the check, with the warnings about their loads."""
     if FILE is None:
         return {}
     try:

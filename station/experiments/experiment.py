@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from threading import Lock
@@ -20,17 +21,19 @@ from core.robot.robot import Array
 from station.config.controllers import ControllerFile
 from station.config.loads import Load, NoLoad, force_of
 from station.config.motions import Motion, Orders, suited
-from station.config.regions import Regions
+from station.config.regions import Regions, mesh_hashes, mesh_warnings, read_regions
 from station.config.robots import RobotFile, load_robot, start_pose
 from station.config.strict import (
     PRESETS,
     ConfigError,
     Format,
+    Line,
     Name,
     NotNegative,
     Row,
     Strict,
     check,
+    is_shipped_preset,
     line_reference,
     merged,
     preset,
@@ -43,6 +46,7 @@ from station.experiments import checked_motions
 from station.experiments.checked_motions import digest
 from station.lab.config import LabConfig, LabName, Without, load_lab
 from station.lab.faults import LabFault, check_faults
+from station.lab.simulated_stages import lab_latency
 from station.recording.run_outcome import counted_from
 
 #: Largest number of cases in one experiment. It limits the waiting time, because each case is checked on the model
@@ -58,14 +62,14 @@ class PaperNumbers(Strict):
 
 
 class CaseFile(Strict):
-    """One case of an experiment, with every key filled in."""
+    """One case of an experiment, with the value of every key."""
 
     format: Format = 1
     """format of this file"""
-    title: str
+    title: Line
     """title on the page and in the report"""
     robot: str = "paper"
-    """preset, or a .toml file in the folder of this one"""
+    """preset, or a .toml file in the folder of this file"""
     lab: LabName = "gentle"
     """virtual lab: preset, file, or a table with other `stages`"""
     without: Without = ()
@@ -83,7 +87,7 @@ class CaseFile(Strict):
     controller: ControllerFile = ControllerFile()
     """controller of the tip"""
     calibration: str = ""
-    """folder of a calibration by `calibrate`; if empty, the described values are used"""
+    """folder of a result of `ctr-station calibrate`; if empty, no calibration is used"""
     faults: Annotated[tuple[LabFault, ...], Row] = ()
     """faults of the simulated devices"""
     keep_out: Regions = ()
@@ -109,6 +113,9 @@ class Case(NamedTuple):
     warnings: tuple[str, ...] = ()  #: messages about loads that the joints cannot compensate
     #: Calibrated lenses and poses of the cameras that measure the tip.
     views: Mapping[str, CalibratedView] = MappingProxyType({})
+    notices: tuple[
+        str, ...
+    ] = ()  #: messages about a robot file that changed since its calibration, and repaired meshes
 
 
 class Experiment(NamedTuple):
@@ -162,7 +169,9 @@ def load_experiment(
     if only is not None and only not in variations:
         raise ConfigError(f"--case {only}: the cases are {', '.join(variations)}")
     cases: list[Case] = []
-    saved = checked_motions.read() if check_motions and not changes and path.is_relative_to(PRESETS) else None
+    # Checks of motions with other changes are not stored, because their many values would fill the file.
+    shipped = path.is_relative_to(PRESETS) and not (changes or {}).keys() - {"robot"}
+    saved = checked_motions.read() if check_motions and shipped else None
     checked = dict(saved or {})
     for case, variation in variations.items():
         if only not in (None, case):
@@ -177,8 +186,8 @@ def load_experiment(
 def _at_working_pose(path: Path, table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the table of a case with `changes`, and with the working pose of a changed robot.
 
-    If the case starts at the working pose of its robot, and `changes` set another robot that has a working pose, the
-    case starts at the working pose of that robot.
+    Only a case that starts at the working pose of its robot is adapted. It then starts at the working pose of the robot
+    that `changes` set, if that robot has one.
     """
     changed = merged(table, changes)
     if "robot" in changes and "start" not in changes:
@@ -191,8 +200,8 @@ def _at_working_pose(path: Path, table: Mapping[str, Any], changes: Mapping[str,
 def variants(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the keys that each case of an experiment's table changes, by the name of the case.
 
-    The table `cases` lists cases. The table `cross` has several axes, each with several choices: every combination of
-    choices is a case, and its name consists of the choices' names from the first axis to the last.
+    The table `cases` lists cases. The table `cross` has several axes, each with several choices. Every combination of
+    choices is a case; its name consists of the choices' names from the first axis to the last.
     """
     found = {name: dict(changes) for name, changes in table.get("cases", {}).items()}
     axes = [axis.items() for axis in table.get("cross", {}).values()]
@@ -210,12 +219,18 @@ def crossed_name(*names: str) -> str:
 
 
 @cache
-def _shipped(name: str, check_motions: bool) -> Experiment:
+def _shipped(name: str, robot: str | None, check_motions: bool) -> Experiment:
+    if robot is not None and robot != read_toml(preset("experiments", name)).get("robot", "paper"):
+        named = str(Path(robot).absolute()) if robot.endswith(".toml") else robot
+        with suppress(CtrError):  # this robot cannot carry out the experiment
+            found = load_experiment(name, {"robot": named}, check_motions=check_motions)
+            if all(case.file.start == case.robot.working_pose for case in found.cases):
+                return found._replace(paper={})  # the paper has no numbers for this robot
     return load_experiment(name, check_motions=check_motions)
 
 
 #: Locks by experiment, so that several requests wait for one check instead of repeating it.
-_checking: defaultdict[tuple[str, bool], Lock] = defaultdict(Lock)
+_checking: defaultdict[tuple[str, str | None, bool], Lock] = defaultdict(Lock)
 
 
 def is_shipped(name: str) -> bool:
@@ -224,21 +239,24 @@ def is_shipped(name: str) -> bool:
     Raises:
         ConfigError: there is no experiment of this name.
     """
-    return preset("experiments", name).is_relative_to(PRESETS)
+    return is_shipped_preset("experiments", name)
 
 
-def offered_experiment(name: str, *, check_motions: bool = True) -> Experiment:
+def offered_experiment(name: str, robot: str | None = None, *, check_motions: bool = True) -> Experiment:
     """Return an experiment for a running station; an experiment preset is checked on the model only once.
 
-    A user's file is read and checked each time, because it may have been edited. `check_motions` is that of
-    `load_experiment`.
+    A preset that starts at the working pose of its robot is adapted to the station's `robot` (preset or file): it then
+    starts at the working pose of this robot, if its motions are possible there.
+
+    A user's file is read and checked each time, because it may have been edited. `check_motions` has the same meaning
+    as in `load_experiment`.
 
     Raises:
         ConfigError: the experiment is invalid; the message is that of `load_experiment`.
     """
-    with _checking[name, check_motions]:
+    with _checking[name, robot, check_motions]:
         if is_shipped(name):
-            return _shipped(name, check_motions)
+            return _shipped(name, robot, check_motions)
         return load_experiment(name, check_motions=check_motions)
 
 
@@ -256,15 +274,18 @@ def _case(
     robot = load_robot(file.robot)
     lab = load_lab(file.lab, robot).leaving_out(file.without)
     try:
+        robot = robot.sensed_at(lab.sensors.at, f"lab '{file.lab}': sensors.at")
+        file = file.model_copy(update={"keep_out": read_regions(file.keep_out)})
         start = start_pose(file.start, robot)
         check_faults(file.faults, robot)
         if file.faults and lab.devices == "ideal":
             raise ConfigError(f"faults: the devices of lab '{file.lab}' are ideal and have none; choose another lab")
-        calibration = BenchCalibration.load(Path(file.calibration), robot) if file.calibration else None
+        calibration = BenchCalibration.load(Path(file.calibration), robot, lab.cameras) if file.calibration else None
         # The controller gets the calibrated robot. The lab keeps simulating its own true robot, which differs from it.
         controller = suited(file.controller, file.trajectory).controller(
-            robot if calibration is None else calibration.robot, lab.present, file.keep_out
-        )
+            robot if calibration is None else calibration.robot, lab.present, file.keep_out,
+            lab_latency(lab.stages, robot),
+        )  # fmt: skip
         if calibration is not None:
             controller = calibration.applied(controller)
         check_pose(controller.statics, controller.limits, start)
@@ -274,7 +295,7 @@ def _case(
                 f"trajectory.kind = 'follow': lab '{file.lab}' has no target; choose one with a table [target],"
                 " for instance 'breathing'"
             )
-        # Cases with the same bench and motion check it once.
+        # Cases with the same rig and motion share one check.
         bench = (robot, lab.present, file.calibration, file.keep_out)
         settings = (
             file.controller.integrator,
@@ -285,10 +306,13 @@ def _case(
         force_of(file.load, 0.0)
         registration = None if calibration is None else calibration.registration
         views = {} if calibration is None else calibration.views
-        described = Case(name, file, robot, lab, controller, orders, start, registration, views=views)
+        notices = (*(() if calibration is None else calibration.warnings), *mesh_warnings(file.keep_out))
+        described = Case(name, file, robot, lab, controller, orders, start, registration, views=views, notices=notices)
         if checked is None:
             return described
         motion = digest(repr((bench, settings, file.start, file.trajectory, file.duration)))
+        if meshes := mesh_hashes(file.keep_out):
+            motion = digest(motion + repr(meshes))
         if motion not in checked:
             orders.check(controller, start, file.duration)
             checked[motion] = ()

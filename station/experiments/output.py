@@ -11,15 +11,17 @@ from rich.table import Table
 from rich.text import Text
 
 from core.robot.robot import Array
+from station.config.regions import mesh_hashes
 from station.control.clock import Clock, VirtualClock
 from station.control.telemetry import Channels
-from station.experiments.experiment import Case, Experiment, PaperNumbers
+from station.experiments.experiment import Case, Experiment
 from station.experiments.results import summarise
 from station.experiments.runner import INTERRUPTED, run_case
+from station.recording.press_outcome import counted_text
 from station.recording.read import MAX_SUMMARY_ROWS
 from station.recording.recover import recover
 from station.recording.run_folder import RunFolder
-from station.recording.run_outcome import RecordingError, RunOutcome, evaluation_note
+from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import CaseRecorder, CaseWriter
 
 
@@ -57,7 +59,7 @@ class RecordedResult(NamedTuple):
 class SummaryRows:
     """Rows of a run in full precision, from which its summary is computed; a recording rounds them.
 
-    Of a run with more than `most` rows, every n-th row is kept; n is a power of two.
+    If a run has more than `most` rows, only every n-th row is kept; n is a power of two.
     """
 
     def __init__(self, most: int) -> None:
@@ -74,9 +76,9 @@ class SummaryRows:
 
 
 def run_recorded(
-    assignment: CaseAssignment, progress: Callable[[float], None], clock: Clock | None = None
+    assignment: CaseAssignment, progress: Callable[[float], None], clock: Callable[[], Clock] = VirtualClock
 ) -> RecordedResult:
-    """Carry out a case, record it and return its summary; the run uses virtual time unless `clock` is given.
+    """Carry out a case with a new `clock`, record it and return its summary.
 
     Raises:
         RecordingError: the file cannot be created or finished.
@@ -89,7 +91,7 @@ def run_recorded(
         kept.add(row)
 
     try:
-        run = run_case(assignment.case, assignment.seed, clock or VirtualClock(), progress, record)
+        run = run_case(assignment.case, assignment.seed, clock(), progress, record)
     except BaseException:
         with contextlib.suppress(RecordingError):  # a later recovery finishes this file
             recorder.close(RunOutcome.INTERRUPTED, "the run was aborted")
@@ -147,11 +149,13 @@ class ResultFolder:
 
 def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:
     """Return everything that the result of a case depends on; it becomes the metadata of the recording."""
+    meshes = mesh_hashes(case.file.keep_out)
     return {
         "experiment": experiment.name,
         "title": experiment.title,
         "case": case.name,
         "seed": seed,
+        **({"meshes": meshes} if meshes else {}),
         "settings": case.file.model_dump(mode="json"),
         "robot": case.robot.model_dump(mode="json"),
         "lab": case.lab.model_dump(mode="json"),
@@ -166,55 +170,75 @@ def label_of(*, completed: bool, cause: str) -> RunOutcome:
     return RunOutcome.INTERRUPTED if cause == INTERRUPTED else RunOutcome.STOPPED
 
 
+#: Heads of the table of results; the numbers start after the first two.
+RESULT_HEAD = ("case", "quantity", "x", "y", "z", "paper")
+
+
 def result_table(experiment: Experiment, summary: Mapping[str, Any]) -> Table:
     """Return a table that compares the numbers of a run with those of the paper, for the terminal."""
     title = Text(f"{experiment.title}\n{experiment.cases[0].lab.title}")
-    table = Table(title=title, title_style="", caption_style="")
-    table.add_column("case")
-    table.add_column("quantity")
-    for axis in ("x", "y", "z"):
-        table.add_column(axis, justify="right")
-    table.add_column("paper", justify="right")
+    table = Table(title=title, title_style="")
+    for column, head in enumerate(RESULT_HEAD):
+        table.add_column(head, justify="left" if column < 2 else "right")
+    paper = {name: numbers.model_dump() for name, numbers in experiment.paper.items()}
     for name, case in summary["cases"].items():
         label = name if case["completed"] else f"{name} (not completed)"
-        for row in _rows(experiment, name, case):
-            table.add_row(label, *row)
+        for _, *cells in result_rows(experiment.name, paper, {name: case}):
+            table.add_row(label, *cells)
             label = ""
         table.add_section()
-    table.caption = evaluation_note(summary["cases"])
     return table
 
 
-def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterator[tuple[str, str, str, str, str]]:
+def result_rows(
+    experiment: str, paper: Mapping[str, Any], cases: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table of results, which are the same in terminal and report.
+
+    `paper` has the paper's numbers by case; a case `NAME_distorted` has those of the case `NAME`.
+    """
+    for name, case in cases.items():
+        for row in _rows(experiment, paper.get(name.removesuffix("_distorted"), {}), case):
+            yield name, *row
+
+
+def _rows(
+    experiment: str, paper: Mapping[str, Mapping[str, float]], case: Mapping[str, Any]
+) -> Iterator[tuple[str, str, str, str, str]]:
     """Yield a table row for each quantity of the case: its name, x, y, z and the paper's number."""
-    paper = experiment.paper.get(name, PaperNumbers())
-    reported = "\n".join(f"{axis} {value:g}" for axis, value in paper.max_abs_error_mm.items())
+    reported = "\n".join(f"{axis} {value:g}" for axis, value in paper.get("max_abs_error_mm", {}).items())
+    since = f"from {case.get('counted_from_s', 0.0):g} s on"
     for key, title, published in (
-        ("max_abs_error_mm", "max |E| measured [mm]", reported),
-        ("true_max_abs_error_mm", "max |E| true [mm]", ""),
-        ("true_rms_error_mm", "RMS E true [mm]", ""),
+        ("max_abs_error_mm", "max |E| measured", reported),
+        ("true_max_abs_error_mm", "max |E| true", ""),
+        ("rms_error_mm", "RMS E measured", ""),
+        ("true_rms_error_mm", "RMS E true", ""),
     ):
         if key in case:
             x, y, z = (f"{value:.3f}" for value in case[key])
-            yield title, x, y, z, published
-    for key, since in (("true_max_distance_mm", "counted_from_s"), ("settled_true_max_distance_mm", "settled_from_s")):
+            yield f"{title}, {since} [mm]", x, y, z, published
+    for key, start in (("true_max_distance_mm", "counted_from_s"), ("settled_true_max_distance_mm", "settled_from_s")):
         if "settled_from_s" in case:
-            yield f"max distance true from {case[since]:g} s on [mm]", "", "", f"{case[key]:.3f}", ""
-    if off := case.get("true_direction_error_deg"):
+            yield f"max distance true from {case[start]:g} s on [mm]", "", "", f"{case[key]:.3f}", ""
+    if "true_p95_distance_mm" in case:
         yield "distance true, 95 % [mm]", "", "", f"{case['true_p95_distance_mm']:.3f}", ""
+    if off := case.get("true_direction_error_deg"):
         yield "direction true, 95 %, largest [deg]", "", f"{off['p95']:.2f}", f"{off['max']:.2f}", ""
     if "force_by_deflection_rms_error_N" in case and "force_rms_error_N" not in case:
-        hits = 100.0 * case["force_by_deflection_in_95"]
-        title = f"RMS error of the force from the deflection [N] ({hits:.0f} % in the 95 % interval)"
+        hits, unknown = (100.0 * case[f"force_by_deflection_{name}"] for name in ("in_95", "unknown"))
+        title = (
+            f"RMS error of the force from the deflection [N] ({hits:.0f} % in the 95 % interval; {unknown:.0f} % of the"
+        )
+        title += " directions unknown and left out)"
         yield title, "", "", f"{case['force_by_deflection_rms_error_N']:.4f}", ""
     if press := case.get("press"):
         for name, prefix in (("estimated", ""), ("true", "true_")):
             if f"{prefix}mean_error_N" in press:
                 numbers = f"{press[f'{prefix}mean_error_N']:.4f}", f"{press[f'{prefix}rms_error_N']:.4f}"
-                yield f"error of the force held, {name}: mean, RMS [N]", "", *numbers, ""
+                yield f"error of the force held, {name}, {counted_text(press)}: mean, RMS [N]", "", *numbers, ""
     if "rms_relative_error" in (palpation := case.get("palpation", {})):
         errors = f"{100.0 * palpation['rms_relative_error']:.1f}", f"{100.0 * palpation['max_relative_error']:.1f}"
-        yield "error of the stiffness: RMS, largest [%]", "", *errors, ""
+        yield "error of the stiffness of the known places: RMS, largest [%]", "", *errors, ""
     for edge, margin in case.get("smallest", {}).items():
         yield f"smallest {edge.replace('_', ' ')}", "", "", f"{margin:.3f}", ""
     if "best_possible_mm" in case:
@@ -226,11 +250,11 @@ def _rows(experiment: Experiment, name: str, case: Mapping[str, Any]) -> Iterato
         yield f"fitted rate (eq. 31: {step['expected_rate']:g} 1/s), dead time", "", "", fitted, ""
     if "max_abs_error_mm" not in case:
         for model, value in case.get("model_error_mm", {}).items():
-            published = f"{paper.model_error_mm[model]:g}" if model in paper.model_error_mm else ""
+            published = f"{paper['model_error_mm'][model]:g}" if model in paper.get("model_error_mm", {}) else ""
             yield f"mean |tip - {model} model| [mm]", "", "", f"{value:.3f}", published
-    if experiment.name == "fig4" and "deflection_max_mm" in case:
+    if experiment == "fig4" and "deflection_max_mm" in case:
         for key, title in (("deflection", "Delta_total"), ("delta_1", "Delta_1"), ("delta_2", "Delta_2")):
             x, y, z = (f"{value:.3f}" for value in case["deflection_max_mm"][key])
             yield f"max |{title}| [mm]", x, y, z, ""
-    if not case["completed"]:
+    if not case.get("completed", True):
         yield case["cause"], "", "", "", ""

@@ -1,27 +1,28 @@
 """Summary numbers of a run: tracking errors as in the paper, and errors of the plant's true tip."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from core.robot.limits import TubeOrder
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.config.loads import Obstacle
 from station.config.motions import PressMotion, StepMotion
 from station.control.telemetry import Channels
-from station.experiments.case_summary import load_windows, model_note, window_name
+from station.experiments.case_summary import load_windows, window_name
 from station.experiments.runner import Recording
-from station.recording.press_outcome import press_outcome
+from station.recording.press_outcome import force_not_reached, press_outcome
 from station.recording.run_outcome import (
+    KNOWN_STD_N,
     desired,
     errors,
-    frame_errors,
     largest_force,
     limited_parts,
+    motion_errors,
     rms,
     rounded,
     saturation_warning,
@@ -74,7 +75,7 @@ def summarise(recording: Recording) -> dict[str, Any]:
     """Return the summary of a run: its tip errors from `counted_from_s` on [mm], and the other numbers of the figures.
 
     Errors with the prefix `true_` are the desired tip position minus that of the simulated real robot (plant). Errors
-    without this prefix are the desired tip position minus that in a tracker frame; each frame is compared with the
+    without this prefix are the desired tip position minus that in a tracker frame. Each frame is compared with the
     setpoint at the time of its measurement.
     """
     channels, rows, first = recording.channels, recording.rows, recording.case.file.counted_from
@@ -87,10 +88,9 @@ def summarise(recording: Recording) -> dict[str, Any]:
     if recording.rates:
         # Rates of the velocity commands and position polls that each axis received over its serial line.
         summary["line_rates"] = {axis: dict(rates) for axis, rates in recording.rates.items()}
-    if note := model_note(recording.case):
-        summary["model"] = note
-    if recording.case.warnings:
-        summary["warnings"] = list(recording.case.warnings)
+    summary["model"] = recording.case.controller.statics.discretisation
+    if warnings := (*recording.case.notices, *recording.case.warnings):
+        summary["warnings"] = list(warnings)
 
     def of(group: str) -> Array:
         return channels.of(rows, group)
@@ -110,26 +110,25 @@ def summarise(recording: Recording) -> dict[str, Any]:
     summary["counted_from_s"] = first
     senses = recording.case.controller.senses
     motion, load = recording.case.file.trajectory, recording.case.file.load
-    if tracked or senses:
-        summary |= largest_force(channels.of(counted, "force_filtered"))
-        if isinstance(motion, PressMotion):
-            summary |= press_outcome(of, motion, load if isinstance(load, Obstacle) else None, 0.0, first)
+    sweeps = motion.kind == "joint_sweep"
+    if not sweeps:
+        summary |= motion_errors(of, 0.0, first)
+    else:
+        summary |= largest_force(of, 0.0)
+    if isinstance(motion, PressMotion) and (tracked or senses):
+        summary |= press_outcome(of, motion, load if isinstance(load, Obstacle) else None, 0.0, first)
+        if missed := force_not_reached(of, motion, 0.0):
+            summary["warnings"] = [*summary.get("warnings", ()), missed]
     times, frame_times = of("time")[:, 0], channels.of(frames, "tip_time")[:, 0]
 
-    def at_frames(group: str, *, averaged: bool = False) -> Array:
-        values = of(group)
-        columns = (averaged_model(values) if averaged else values).T
-        return np.stack([np.interp(frame_times, times, column) for column in columns], axis=1)
+    def at_frames(group: str) -> Array:
+        return np.stack([np.interp(frame_times, times, column) for column in averaged_model(of(group)).T], axis=1)
 
     measured = channels.of(frames, "tip_measured")
-    sweeps = recording.case.file.trajectory.kind == "joint_sweep"
-    if not sweeps and tracked:
-        summary |= errors("", frame_errors(of, is_frame, 0.0), frame_times)
     known = bool(channels.of(counted, "truth_known").all())
     if known:
         if not sweeps:
             error = desired(of, "target_true") - of("tip_true")
-            summary |= errors("true_", error[is_counted], times[is_counted])
             summary |= _errors_by_change(recording, error)
             if recording.case.orders.follow is not None:
                 summary |= _settled_errors(recording, error)
@@ -140,10 +139,10 @@ def summarise(recording: Recording) -> dict[str, Any]:
             force_error = channels.of(counted, group) - channels.of(counted, "force_true")
             summary[f"{group}_rms_error_N"] = rounded(rms(force_error), 4)
     if isinstance(motion, StepMotion):
-        summary["step"] = _step(recording, "tip_true" if known else "tip_observed", motion)
+        summary["step"] = _step(recording, of, "tip_true" if known else "tip_observed", motion)
     if tracked:
         summary["model_error_mm"] = {
-            name: rounded(1e3 * np.linalg.norm(at_frames(group, averaged=True) - measured, axis=1).mean())
+            name: rounded(1e3 * np.linalg.norm(at_frames(group) - measured, axis=1).mean())
             for name, group in (("loaded", "tip_estimated"), ("unloaded", "tip_unloaded"))
         }
     summary["deflection_rate_rms_error_mm_s"] = _rate_errors(recording)
@@ -154,49 +153,44 @@ def summarise(recording: Recording) -> dict[str, Any]:
     return summary
 
 
-#: Standard deviation below which a direction of the force from the deflection counts as measured [N]. In the other
-#: directions the tubes hardly bend.
-MEASURED_STD_N = 0.05
-
-
 def _force_by_deflection(channels: Channels, frames: Array) -> dict[str, Any]:
-    """Return RMS error and hits of the force from the deflection, in the directions in which the tubes bend.
+    """Return RMS error and hit rate of the force from the deflection, in the directions in which the force is known.
 
-    `force_by_deflection_rms_error_N` is the RMS error along these directions, the eigenvectors of the covariance;
-    `force_by_deflection_in_95` is the fraction of the tracker frames whose 95 % interval contains the true force.
-    Empty without a tracker. `frames` (f, channels) are the rows with a tracker frame.
+    The directions are the eigenvectors of the covariance in each tracker frame. `force_by_deflection_rms_error_N` is
+    the RMS error along them. `force_by_deflection_in_95` is the fraction whose 95 % interval contains the true force.
+    `force_by_deflection_unknown` is the fraction of directions that are left out because the force along them is
+    unknown. `frames` (f, channels) are the rows with a tracker frame.
     """
     xx, xy, xz, yy, yz, zz = channels.of(frames, "force_by_deflection_covariance").T
     variances, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1))
     error = channels.of(frames, "force_by_deflection") - channels.of(frames, "force_true")
     along, spread = np.einsum("fik,fi->fk", axes, error), np.sqrt(np.maximum(variances, 0.0))
-    measured = (spread > 0.0) & (spread < MEASURED_STD_N)
-    if not measured.any():
+    known = (spread > 0.0) & (spread <= KNOWN_STD_N)
+    if not known.any():
         return {}
-    inside = np.abs(along[measured]) <= 1.96 * spread[measured]
+    inside = np.abs(along[known]) <= 1.96 * spread[known]
     return {
-        "force_by_deflection_rms_error_N": rounded(float(np.sqrt(np.mean(along[measured] ** 2))), 4),
-        "force_by_deflection_in_95": rounded(float(inside.mean()), 3),
+        "force_by_deflection_rms_error_N": rounded(rms(along[known])),
+        "force_by_deflection_in_95": rounded(inside.mean(), 3),
+        "force_by_deflection_unknown": rounded(1.0 - known.mean(), 3),
     }
 
 
 def _direction(recording: Recording, counted: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return the direction error of the true tip [deg]: angle to the desired direction, or else to that at the start.
+    """Return the 95th percentile of the true tip's distance [mm], and the error of a controlled direction [deg].
 
-    Empty for a robot with at most three joints, which cannot control the direction, and in a lab that does not report
-    the true direction.
+    Empty for a robot with at most three joints, which cannot control the direction.
     """
-    channels, rows = recording.channels, recording.rows
-    true, desired_direction = channels.of(rows, "direction_true"), channels.of(rows, "direction_desired")
-    if len(recording.case.robot.joints) <= 3 or not true.any():
+    channels, rows = recording.channels, recording.rows[counted]
+    if len(recording.case.robot.joints) <= 3:
         return {}
-    reference = desired_direction if desired_direction.any() else np.broadcast_to(true[0], true.shape)
-    off = angles(true, reference)[counted]
-    error = np.linalg.norm(channels.of(rows, "tip_desired") - channels.of(rows, "tip_true"), axis=1)[counted]
-    return {
-        "true_p95_distance_mm": rounded(1e3 * np.percentile(error, 95.0)),
-        "true_direction_error_deg": {"p95": rounded(np.percentile(off, 95.0)), "max": rounded(off.max())},
-    }
+    error = np.linalg.norm(channels.of(rows, "tip_desired") - channels.of(rows, "tip_true"), axis=1)
+    found: dict[str, Any] = {"true_p95_distance_mm": rounded(1e3 * np.percentile(error, 95.0))}
+    true, desired_direction = channels.of(rows, "direction_true"), channels.of(rows, "direction_desired")
+    if true.any() and desired_direction.any():
+        off = angles(true, desired_direction)
+        found["true_direction_error_deg"] = {"p95": rounded(np.percentile(off, 95.0)), "max": rounded(off.max())}
+    return found
 
 
 def angles(first: Array, second: Array) -> Array:
@@ -211,18 +205,18 @@ def _edges(recording: Recording) -> dict[str, Any]:
         return {}
     lower, upper = limits.packed[:2]
     room = np.minimum(joints - lower, upper - joints) / (0.5 * (upper - lower))
-    order = [(limit.bound - joints @ limit.matrix.T).min() for limit in limits.others if isinstance(limit, TubeOrder)]
+    rows, bound = limits.order
     return {
         "smallest": {
             "stability": rounded(recording.channels.of(recording.rows, "stability").min()),
             "room_of_half_travel": rounded(room.min()),
-            **({"tube_order_mm": rounded(1e3 * min(order))} if order else {}),
+            **({"tube_order_mm": rounded(1e3 * (bound - joints @ rows.T).min())} if bound.size else {}),
         }
     }
 
 
 def _settled_errors(recording: Recording, error: Array) -> dict[str, Any]:
-    """Return the tip errors of a run that follows a target, from the settling time on, whatever the load does.
+    """Return the tip errors of a run that follows a target, from the settling time on, regardless of the load.
 
     `error` (ticks, 3) is the desired minus the true tip position [m].
     """
@@ -250,13 +244,17 @@ def averaged_model(tips: Array, ticks: int = AVERAGING_TICKS) -> Array:
     return uniform_filter1d(tips, ticks, axis=0, mode="nearest")
 
 
-def _step(recording: Recording, group: str, motion: StepMotion) -> dict[str, float]:
+def step_response(of: Callable[[str], Array], group: str, motion: StepMotion) -> tuple[Array, Array]:
+    """Return times (m,) [s] and mean response (m,) of a tip, the channels `group`, as fractions of the step."""
+    offset = np.array(motion.offset)
+    start = of("tip_desired")[0] - offset
+    response = (of(group) - start) @ offset / float(offset @ offset)
+    return fold(of("time")[:, 0], response, motion.stay) if motion.stay else (of("time")[:, 0], response)
+
+
+def _step(recording: Recording, of: Callable[[str], Array], group: str, motion: StepMotion) -> dict[str, float]:
     """Return rate and dead time of the tip's fitted step response, and the rate that the paper's eq. (31) predicts."""
-    channels, rows, offset = recording.channels, recording.rows, np.array(motion.offset)
-    start = channels.of(rows, "tip_desired")[0] - offset
-    response = (channels.of(rows, group) - start) @ offset / float(offset @ offset)
-    times = channels.of(rows, "time")[:, 0]
-    fit = fit_step(*(fold(times, response, motion.stay) if motion.stay else (times, response)))
+    fit = fit_step(*step_response(of, group, motion))
     return {
         "rate": round(fit.rate, 4),
         "dead_time_s": round(fit.dead_time, 4),

@@ -20,7 +20,7 @@ from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
 from station.devices.interfaces import with_details
 from station.experiments.experiment import Case
-from station.experiments.job_pool import interrupts
+from station.jobs.interrupts import interrupts
 from station.lab.config import LabConfig
 from station.lab.virtual_bench import virtual_bench, warm_up_control
 
@@ -145,10 +145,10 @@ def _connect_problem(loop: ControlLoop, now: float) -> str:
 def warm_up() -> None:
     """Call each compiled function once on the paper's robot; any robot with as many joints uses the same code.
 
-    A new installation compiles for many seconds. So a second process runs this warm-up while the first process compiles
-    the model of the robot and checks the motions of the experiment on it. The second process begins with the lab, which
-    does not need the model.
+    A new installation compiles for many seconds. So a second process runs this warm-up, while the first one compiles
+    the model and checks the motions of the experiment on it. The second process starts with the lab, which does not
+    need the model.
     """
     robot, config, park = load_robot("paper"), LabConfig(), (0.0, 0.5 * math.pi, -0.1)
     virtual_bench(robot, config, 0, np.array(park)).lab.advance(0.0)
-    warm_up_control(robot, config, 0, park, ControllerFile().controller(robot))
+    warm_up_control(robot, config, 0, park, ControllerFile().controller(robot), all_features=False)

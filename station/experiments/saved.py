@@ -1,4 +1,4 @@
-"""Saving of motions that an operator has created on a running station, as ordinary experiment files."""
+"""Save motions that an operator has created on a running station as ordinary experiment files."""
 
 import os
 import tempfile
@@ -23,7 +23,6 @@ from station.config.strict import (
     use_experiments,
 )
 from station.experiments.experiment import load_experiment
-from station.recording.run_outcome import settling_time
 
 #: Name of the default folder of saved experiments, inside the folder of the runs.
 EXPERIMENTS_FOLDER = "experiments"
@@ -110,7 +109,7 @@ def saved_motion(name: str) -> FreeMotion:
     experiment = load_experiment(name)
     file = experiment.cases[0].file
     if not isinstance(file.trajectory, TipMotion):
-        raise SavedError(f"'{name}' has a motion of kind '{file.trajectory.kind}', which is available in files only")
+        raise SavedError(f"'{name}' has a motion of kind '{file.trajectory.kind}', which only files can have")
     return FreeMotion(
         title=file.title, start=file.start, duration=file.duration, trajectory=file.trajectory,
         controller=file.controller, load=file.load,
@@ -125,7 +124,7 @@ def _text(motion: FreeMotion, about: Mapping[str, str]) -> str:
         **about,
         "start": motion.start,
         "duration": motion.duration,
-        "settling": settling_time(motion.duration),
+        "settling": 0.0,
     }
     parts = {"trajectory": motion.trajectory, "load": motion.load, "controller": motion.controller}
     lines = toml_lines(table)

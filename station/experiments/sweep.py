@@ -1,6 +1,6 @@
 """Sweep: one experiment is run with many seeds, and with several values for the keys of its file.
 
-Every run carries out a case in virtual time. Local processes, a Dask cluster (`dask_cluster.py`) and the command `run`
+Every run carries out a case in virtual time. Local processes, a Dask cluster (`station/jobs`) and the command `run`
 with the same seed give the same results, bit for bit.
 """
 
@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station.control.clock import VirtualClock
-from station.experiments.job_pool import JobPool, ProcessLost
-from station.experiments.manifest import Row
 from station.experiments.results import summarise
 from station.experiments.runner import INTERRUPTED, run_case
 from station.experiments.sweep_plan import SweepJob, SweepPlan
+from station.jobs.interrupts import JobInterrupted
+from station.jobs.manifest import Row
+from station.jobs.run_jobs import LOST
 from station.recording.metadata import versions
 
 #: Columns of a row for which no statistics are computed: they identify the run, describe the computer, or are equal for
@@ -33,61 +34,28 @@ class SeedStatistics(NamedTuple):
 
 
 def run_job(job: SweepJob, progress: Callable[[float], None]) -> Row:
-    """Carry out one run and return its row; the row of a run that fails has the reason."""
+    """Carry out one run and return its row; the row of a run that fails has the reason.
+
+    Raises:
+        JobInterrupted: Ctrl-C ended the run.
+    """
     try:
-        return row_of(job, summarise(run_case(job.case, job.seed, VirtualClock(), progress)))
+        recording = run_case(job.case, job.seed, VirtualClock(), progress)
+        if recording.cause != INTERRUPTED:
+            return _row(job, summarise(recording))
     except Exception as error:
-        return failed(job, f"{type(error).__name__}: {error}")
+        return _row(job, {"completed": False, "cause": f"{type(error).__name__}: {error}"})
+    raise JobInterrupted
 
 
-def row_of(job: SweepJob, numbers: Mapping[str, Any]) -> Row:
-    """Return the row of a finished run: its identity, the package versions and its results."""
+def lost_job(job: SweepJob) -> Row:
+    """Return the row of a run whose worker process died at every attempt."""
+    return _row(job, {"completed": False, "cause": LOST})
+
+
+def _row(job: SweepJob, numbers: Mapping[str, Any]) -> Row:
     about = {"run": job.run, "setting": dict(job.setting), "case": job.case.name, "seed": job.seed}
     return {**about, "versions": versions(), **numbers}
-
-
-def failed(job: SweepJob, cause: str) -> Row:
-    """Return the row of a run that failed: it has the cause instead of results."""
-    return row_of(job, {"completed": False, "cause": cause})
-
-
-def on_processes(
-    listed: Sequence[SweepJob], processes: int, keep: Callable[[Row], None], report_done: Callable[[float], None]
-) -> None:
-    """Carry out the runs of a sweep in this many processes.
-
-    `keep` receives the row of each finished run; `report_done` receives the number of finished runs, including
-    fractions of runs. Ctrl-C ends the active runs, and no further run starts. Runs whose process is killed are repeated
-    one at a time. A run whose process is killed again gets a row with that reason.
-    """
-    left = {job.run: job for job in listed}
-
-    def kept(row: Row) -> bool:
-        if row["cause"] != INTERRUPTED:
-            keep(row)
-            del left[row["run"]]
-        return True
-
-    def carry_out(batch: Sequence[SweepJob], max_processes: int) -> None:
-        done = len(listed) - len(left)
-        with JobPool(max_processes) as pool:
-            pool.carry_out(run_job, batch, lambda parts: report_done(done + sum(parts)), kept)
-
-    while left:
-        batch = list(left.values())
-        try:
-            carry_out(batch, min(processes, len(batch)))
-            return
-        except ProcessLost as lost:
-            # A process may end before it reports the number of its job. Then the first job is suspected.
-            suspected = [batch[number] for number in sorted(lost.jobs) if batch[number].run in left] or batch[:1]
-        for job in suspected:
-            try:
-                carry_out([job], 1)
-            except ProcessLost as lost:
-                kept(failed(job, str(lost)))
-            if job.run in left:
-                return  # Ctrl-C was pressed
 
 
 def spreads(rows: Sequence[Row]) -> dict[str, SeedStatistics]:

@@ -2,7 +2,6 @@
 
 import hashlib
 import itertools
-import json
 import re
 import time
 import tomllib
@@ -17,8 +16,10 @@ from station.control.bench_calibration import REGISTRATION_FILE, ROBOT_FILE, SEN
 from station.experiments.experiment import Case, Experiment, load_experiment
 from station.recording.metadata import PACKAGES, versions
 
-#: Value that is read as a text although it has no quotes, such as `dual_layer`.
-BARE_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+#: A text in quotes, or a word such as `dual_layer` that is read as a text without quotes. A key is not such a word.
+WORD = re.compile(r"""("(?:\\.|[^"\\])*"|'[^']*')|(?<![\w.+-])([A-Za-z_][\w./-]*+)(?!\s*=)""")
+#: Words that are TOML values without quotes.
+TOML_WORDS = ("true", "false", "inf", "nan")
 
 #: One combination of values: pairs of a dotted key of an experiment's file and its value, in the order of the options.
 Setting = tuple[tuple[str, Any], ...]
@@ -34,11 +35,10 @@ def settings(options: Sequence[str]) -> list[Setting]:
     for option in options:
         key, equals, text = option.partition("=")
         key = key.strip()
-        if not key or not equals or not text.strip():
-            raise ConfigError(f"--set {option}: write KEY=VALUE or KEY=A,B,C, for example controller.k1=1,2.5,5")
+        values = _values(text if key and equals else "", option)
         if key in [listed[0][0] for listed in choices]:
             raise ConfigError(f"--set {option}: '{key}' is set twice; give all its values in one option")
-        choices.append([(key, _value(part, option)) for part in _parts(text)])
+        choices.append([(key, value) for value in values])
     return list(itertools.product(*choices))
 
 
@@ -62,54 +62,18 @@ def nested(setting: Setting) -> dict[str, Any]:
     return table
 
 
-def _parts(text: str) -> Iterator[str]:
-    """Split a text at its commas outside brackets and quotes."""
-    depth, quote, first = 0, "", 0
-    for at, character in enumerate(text):
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "\"'":
-            quote = character
-        elif character in "[{":
-            depth += 1
-        elif character in "]}":
-            depth -= 1
-        elif character == "," and depth == 0:
-            yield text[first:at].strip()
-            first = at + 1
-    yield text[first:].strip()
-
-
-def _value(text: str, option: str) -> Any:
-    if not text:
-        raise ConfigError(f"--set {option}: a value is missing between the commas")
-    if BARE_WORD.fullmatch(text) and text not in ("true", "false", "inf", "nan"):
-        return text
+def _values(text: str, option: str) -> list[Any]:
+    """Return the values of an option; commas separate them."""
+    quoted = WORD.sub(lambda word: word[0] if word[1] or word[2] in TOML_WORDS else f'"{word[2]}"', text)
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        if values := tomllib.loads(f"values = [{quoted}]")["values"]:
+            return values
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(
-            f"--set {option}: '{text}' is not a TOML value: {error}; put a text with special characters in quotes"
+            f"--set {option}: '{text}' is not a list of TOML values: {error}; put a text with special characters in"
+            " quotes"
         ) from None
-
-
-#: Fields of a plan in the order in which two plans are compared, each with a label. A message about a difference shows
-#: the values of both plans.
-DIFFERENCE_LABELS = {
-    "experiment": "the experiment",
-    "parts": "the number of parts",
-    "settings": "--set (and --lab)",
-    "cases": "the cases",
-    "seeds": "--seeds",
-    "versions": "the versions",
-}
-#: Messages about a difference in those fields of a plan whose values would not help the user (texts and digests).
-CHANGE_MESSAGES = {
-    "source": "the experiment's file has changed since",
-    "contents": "a robot, lab, calibration or motion that the experiment names has changed since",
-}
-#: Length to which a value is cut in the message about a difference between two plans [characters].
-MAX_DIFFERENCE_CHARS = 200
+    raise ConfigError(f"--set {option}: write KEY=VALUE or KEY=A,B,C, for example controller.k1=1,2.5,5")
 
 
 class SweepJob(NamedTuple):
@@ -122,7 +86,7 @@ class SweepJob(NamedTuple):
 
 
 class SweepPlan(Strict):
-    """Everything that defines a sweep, apart from its folder; two equal plans are the same sweep."""
+    """Everything that defines a sweep, apart from its folder."""
 
     experiment: str
     title: str
@@ -132,13 +96,13 @@ class SweepPlan(Strict):
     settings: Annotated[tuple[Mapping[str, Any], ...], Row]
     cases: Annotated[tuple[str, ...], Row]
     seeds: int
-    """0 ... seeds - 1"""
+    """number of seeds, which are 0 ... seeds - 1"""
     contents: str
-    """digest of the cases and of all files that they use"""
+    """digest of the cases and of all files that they use: robot, lab, calibration, motion"""
     versions: Mapping[str, str]
     parts: int = 1
     started: float
-    """[s] since 1970"""
+    """start of the sweep [s] since 1970"""
 
     @property
     def planned(self) -> int:
@@ -155,16 +119,6 @@ class SweepPlan(Strict):
     def about(self) -> list[tuple[Mapping[str, Any], str, int]]:
         """Return setting, case and seed of every run, by its number."""
         return list(product(self.settings, self.cases, range(self.seeds)))
-
-    def difference(self, kept: "SweepPlan") -> str:
-        """Return a text about the first difference between a stored plan and this one; empty if they are equal."""
-        for name, label in DIFFERENCE_LABELS.items():
-            stored, requested = (json.dumps(plan.model_dump()[name]) for plan in (kept, self))
-            if stored != requested:
-                return f"{label}: {stored[:MAX_DIFFERENCE_CHARS]} stored, {requested[:MAX_DIFFERENCE_CHARS]} requested"
-        return next(
-            (message for name, message in CHANGE_MESSAGES.items() if getattr(kept, name) != getattr(self, name)), ""
-        )
 
 
 def jobs(experiment: str, chosen: Sequence[Setting], seeds: Sequence[int], only: str | None = None) -> list[SweepJob]:

@@ -32,7 +32,7 @@ class ShapeSolver(Protocol):
     def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
         """Return the tips (m, 3) [m] of a row's robot at joints (m, n), NaN where the robot has no shape.
 
-        The solver does not use the robot's previous shape. Afterwards the robot is at the first of the joint positions.
+        The solver does not use the robot's previous shape. Afterwards the robot has the shape at `joints[0]`.
         """
         ...
 
@@ -58,7 +58,8 @@ class LoadedShapes:
     def replace(self, row: int, robot: Robot) -> None:
         """See `ShapeSolver`."""
         if robot is not self.models[row].robot:
-            self.models[row] = Statics(robot)
+            nominal = self.models[row]  # rows are solved together, so their sub-links are equally long
+            self.models[row] = Statics(robot, nominal.step, nominal.used_integrator)
             self._alike = len(self.models) == 1
 
     def solve_from_rest(self, row: int, joints: Array, wrench: Array) -> Array:
@@ -152,7 +153,7 @@ class EpisodeSettings:
 
 
 class RobotBatch:
-    """Batch of k simulated robots; an action has for every joint a fraction, -1 ... 1, of its top speed."""
+    """Batch of k simulated robots; an action gives each joint's velocity as a fraction of top speed, -1 ... 1."""
 
     def __init__(self, setting: EpisodeSettings, rows: int) -> None:
         file = load_robot(setting.robot)
@@ -199,7 +200,7 @@ class RobotBatch:
         )
 
     def put(self, row: int, robot: Robot, joints: Array, wrench: Array) -> Array:
-        """Set a robot at the first pose of `joints` (m, n); return its tips (m, 3) at all poses [m], NaN: no shape."""
+        """Put a robot at the first pose of `joints` (m, n); return its tips (m, 3) at all poses [m], NaN: no shape."""
         self.robots[row] = robot
         self.shapes.replace(row, robot)
         tips = self.shapes.solve_from_rest(row, joints, wrench)
@@ -224,8 +225,8 @@ class RobotBatch:
     def observe(self) -> Array:
         """Return the observations of all robots (k, m).
 
-        An observation has cosine and sine of each rotation, each translation scaled to -1 ... 1 of its travel, and the
-        tip [m].
+        An observation has cosine and sine of each rotation joint, the position of each translation joint scaled to
+        -1 ... 1, and the tip [m].
         """
         observations = np.empty((self.rows, self._width))
         self.observe_into(observations)
@@ -236,7 +237,7 @@ class RobotBatch:
         _observe(self.joints, self.tips, self._slides, self._bounds, observations)
 
     def _clearance(self, joints: Array) -> Array:
-        """Return the distances between ends of neighbouring tubes (k, m) [m]; negative if one passed the other."""
+        """Return distances (k, m) [m] between ends of neighbouring tubes; negative if the ends passed each other."""
         matrix, bound = self._order
         return bound - MIN_TUBE_DISTANCE_M - joints @ matrix.T
 
@@ -254,7 +255,7 @@ class RobotBatch:
 
 @compiled
 def _moved(joints: Array, actions: Array, bounds: Array) -> Array:
-    """Return the joints after a period, within their travel. Compiled: with numpy this takes longer than a solve."""
+    """Return the joints after a period, within their travel. In numpy this would take longer than a model solution."""
     to = np.empty_like(joints)
     for row in range(joints.shape[0]):
         for j in range(joints.shape[1]):

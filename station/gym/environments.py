@@ -58,7 +58,7 @@ class EnvironmentTask(Protocol):
 class TaskEnv(gymnasium.Env[Any, Any]):
     """Gymnasium environment with one episode of a task at a time."""
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as declared there
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 - as in Gymnasium
 
     def __init__(self, task: EnvironmentTask, render_mode: str | None) -> None:
         self.task, self.render_mode = task, render_mode
@@ -85,7 +85,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
 
 
 class ReachEnv(TaskEnv):
-    """Environment `CtrReach-v0`; its arguments are those of `EpisodeSettings`, and `tolerance` [m] and `reward`."""
+    """Environment `CtrReach-v0`; arguments: `tolerance` [m], `reward`, and the fields of `EpisodeSettings`."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class ReachEnv(TaskEnv):
 
 
 class TrackEnv(TaskEnv):
-    """Environment `CtrTrack-v0`; its arguments are those of `EpisodeSettings`, and the number of steps of the path."""
+    """Environment `CtrTrack-v0`; arguments: `steps` of the path, and the fields of `EpisodeSettings`."""
 
     def __init__(self, render_mode: str | None = None, steps: int = TRACK_STEPS, **setting: Any) -> None:
         super().__init__(Track(1, EpisodeSettings(**setting), steps), render_mode)

@@ -49,7 +49,7 @@ class Reach:
             if np.isfinite(tips).all():
                 self.goals[row] = tips[1]
                 return
-        raise NoSolution(f"no start and goal under up to {bodies.setting.load:g} N; reduce the load")
+        raise NoSolution(f"no start and goal with a solution under up to {bodies.setting.load:g} N; reduce the load")
 
     def observe(self) -> dict[str, Array]:
         """Return the observations of all rows."""
@@ -83,7 +83,7 @@ class Reach:
 def _judge(here: Array, there: Array, tolerance: float, dense: bool, rewards: Array, within: Bools) -> None:
     """Write the results of `Reach._evaluate` into `rewards` and `within`.
 
-    The function is compiled: with numpy it would take half as long as a solution of the model for one row.
+    It is compiled, because for one row numpy would take half as long as a solution of the model.
     """
     for row in range(here.shape[0]):
         x, y, z = (here[row, 0] - there[row, 0], here[row, 1] - there[row, 1], here[row, 2] - there[row, 2])

@@ -18,7 +18,7 @@ MAX_SPEED_SHARE = 0.5
 #: Rise time of the load, which starts at a random time in the first half of the episode [s].
 LOAD_RAMP_S = 1.0
 #: Smallest number of points of a path at which the model is solved. A path is smooth if the amplitudes in the upper
-#: quarter of its frequencies are smaller than the second constant [m]; a robot that snaps, for example, is not smooth.
+#: quarter of its frequencies are smaller than the second constant [m]; the path of a robot that snaps is not.
 MIN_PATH_POINTS, MAX_TAIL_AMPLITUDE_M = 64, 1e-5
 
 
@@ -30,7 +30,7 @@ class Track:
 
     def __init__(self, rows: int, setting: EpisodeSettings, steps: int = TRACK_STEPS) -> None:
         if steps < MIN_PATH_POINTS:
-            raise ConfigError(f"steps = {steps} is less than {MIN_PATH_POINTS}")
+            raise ConfigError(f"steps = {steps} is less than {MIN_PATH_POINTS}, the smallest number; increase it")
         self.bodies, self.steps = RobotBatch(setting, rows), steps
         n, reach = self.bodies.lower.size, self.bodies.reach
         self.paths, self.onsets = np.zeros((rows, steps + 2, 3)), np.zeros(rows)
@@ -53,7 +53,7 @@ class Track:
                 self.paths[row], self.loads[row], self.at[row] = path, load, 0
                 self.onsets[row] = random.uniform(0.0, 0.5 * self.steps)
                 return
-        raise NoSolution(f"robot '{bodies.robot.name}': no path with a solution at every point was found")
+        raise NoSolution(f"robot '{bodies.robot.name}': the model has no solution on some points of every drawn path")
 
     def observe(self) -> Array:
         """Return the observations of all rows: joints, tip, vectors from the tip to its target and next target [m]."""
@@ -64,7 +64,7 @@ class Track:
         return observations
 
     def step(self, actions: Array) -> tuple[Array, dict[str, Array | Bools]]:
-        """Carry out actions (k, n); return the rewards (k,), minus the tips' distances [mm], and the distances [m]."""
+        """Carry out actions (k, n); return the distances (k,) [m] from the targets, and as rewards minus them [mm]."""
         bodies = self.bodies
         _advance_loads(
             self.at, self.steps + 1, self.onsets, LOAD_RAMP_S / bodies.setting.period, self.loads, bodies.wrenches
@@ -95,12 +95,12 @@ class Track:
         return np.concatenate((path, path[:2]))
 
     def _draw_joints(self, random: np.random.Generator) -> Array:
-        """Draw joints (steps + 2, n) between three valid poses; all are valid, because the limits are linear."""
+        """Draw joint positions (steps + 2, n) between three valid poses; as the limits are linear, all are valid."""
         bodies = self.bodies
         start = bodies.draw_pose(random)
         routes = [bodies.draw_pose(random) - start for _ in range(2)]
         turn = 2.0 * np.pi / self.steps
-        # Largest motion of each joint in a step, for 0.25 times both routes, relative to the motion at top speed.
+        # Largest motion of any joint in a step with 0.25 times both routes, relative to the motion at top speed.
         fastest = np.max([0.25 * turn * np.abs(routes[0]) + 0.5 * turn * np.abs(routes[1])], axis=0) / bodies.stride
         part = min(1.0, MAX_SPEED_SHARE / float(fastest.max(initial=1e-12)))
         phase = turn * np.arange(self.steps + 2)

@@ -32,7 +32,7 @@ class Distortion:
 
     @classmethod
     def drawn(cls, rms: float, box: Array, rng: np.random.Generator) -> Self:
-        """Return a field whose length has this RMS [m] over a box: lower and upper bound of each axis (3, 2) [m]."""
+        """Return errors whose length has this RMS [m] over a box, the lower and upper bound of each axis (3, 2) [m]."""
         directions = rng.standard_normal((WAVE_COUNT, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         waves = directions * (2.0 * np.pi / rng.uniform(MIN_WAVELENGTH_M, MAX_WAVELENGTH_M, (WAVE_COUNT, 1)))
@@ -53,7 +53,7 @@ GENERATOR_POSE = TrackerMounting(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0,
 
 
 def assumed_mounting(config: LabConfig) -> TrackerMounting:
-    """Return the assumed pose of the tracker, or of the world of the cameras, in the robot's frame."""
+    """Return the assumed pose in the robot's frame of the tracker, or with cameras of their world frame."""
     return TrackerMounting(np.eye(3), np.zeros(3)) if config.cameras else GENERATOR_POSE
 
 
@@ -68,10 +68,10 @@ class CoilView(NamedTuple):
     """One frame of a coil as the tracker measured it."""
 
     frame: int
-    available: float  #: time from which BX and TX report it [s]
+    available: float  #: time from which the commands BX and TX report this frame [s]
     position: tuple[float, ...]  #: position of the coil in the generator's frame [mm]
     quaternion: tuple[float, ...]
-    beyond: float  #: distance of the coil outside the measurement volume [mm]
+    beyond: float  #: distance of the coil from the measurement volume [mm]; not positive inside
     lost: bool
 
 
@@ -95,9 +95,9 @@ class Coil:
         )
         # The noise of the direction has a separate random stream, so that the noise of the position does not change.
         self._wobble = None if config.direction_noise is None else rng.spawn(1)[0]
-        self._noise: list[list[float]] = []  # noise of the following frames, that of the next frame last [m]
-        self._axis_noise: list[Array] = []  # noise of the axis in the following frames, that of the next frame last
-        # The configured latency ends when the reply has arrived, so a frame is available one reply earlier.
+        self._noise: list[list[float]] = []  # position noise of the coming frames; the last entry is used first [m]
+        self._axis_noise: list[Array] = []  # noise of the axis in the coming frames; the last entry is used first
+        # The configured latency includes the duration of the reply, so a frame is available earlier by this duration.
         self._delay = max(0.0, config.latency - USUAL_REPLY_S)
         self._frames: deque[CoilView] = deque(maxlen=400)
         self._count, self._count_base = 0, 0
@@ -105,7 +105,7 @@ class Coil:
     def advance(
         self, start: float, end: float, tip_start: Array, tip_end: Array, direction: Array | None, lost: bool
     ) -> None:
-        """Move the coil from `tip_start` to `tip_end`, world frame [m], with the axis `direction`; `lost`: hidden."""
+        """Move the coil from `tip_start` to `tip_end` [m], axis `direction`; if `lost`, the tracker does not see it."""
         while self.due <= end + 1e-9:
             part = 1.0 if end == start else min(max((self.due - start) / (end - start), 0.0), 1.0)
             if not self._noise:
@@ -137,11 +137,11 @@ class Coil:
         return direction + error - (error @ direction) * direction
 
     def restart_count(self) -> None:
-        """Give the next frame the number 0."""
+        """Restart the numbers of the frames at 0 with the next frame."""
         self._count_base = self._count
 
     def newest(self, time: float) -> CoilView | None:
-        """Return the frame that BX and TX report at `time` [s]."""
+        """Return the newest frame that the commands BX and TX report at `time` [s]; None if there is none."""
         while len(self._frames) > 1 and self._frames[1].available <= time:
             self._frames.popleft()
         return self._frames[0] if self._frames and self._frames[0].available <= time else None

@@ -1,4 +1,4 @@
-"""The commands that a simulated Aurora executes: parsing, port handles, and the frames' replies to BX and TX."""
+"""The commands that a simulated Aurora executes: parsing, port handles, and the replies with frames to BX and TX."""
 
 import struct
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class AuroraRefusal(Exception):
 
 
 def parse_command(line: bytes) -> tuple[str, str]:
-    """Return name and parameters of `CMD:params` + CRC or `CMD params`."""
+    """Return name and parameters of a command line, which is `CMD:params` + CRC or `CMD params`."""
     if len(line) > MAX_COMMAND_BYTES:
         raise AuroraRefusal(0x02)
     try:
@@ -58,7 +58,7 @@ def number(digits: str, count: int) -> int:
 
 
 def parse_rate(parameters: str) -> tuple[int, int]:
-    """Return baud and bits of a character from COMM's five digits."""
+    """Return baud rate and bits per character from the five digits of the command COMM."""
     if len(parameters) != 5:
         raise AuroraRefusal(0x03 if len(parameters) < 5 else 0x02)
     bauds = {code: baud for baud, code in BAUD_CODES.items()}
@@ -73,11 +73,13 @@ class ToolPort:
     """A port handle: the number that the tracker gives to a plugged-in tool."""
 
     handle: int
-    serial: str  #: serial number of the tool
+    serial: str  #: serial number of the tool; "" for an unprogrammed tool, which cannot be initialised
     target: bool = False  #: whether the tool is the target's coil instead of the tip's
     initialised: bool = False
     enabled: bool = False
-    gone: bool = False  #: whether the tool is unplugged, but its handle not yet freed
+    channel: int = 0  #: number of the coil in its plug
+    port: int = 1  #: number of the plug's port
+    gone: bool = False  #: whether the tool is unplugged and its handle not yet freed
 
     @property
     def status(self) -> int:
@@ -86,10 +88,11 @@ class ToolPort:
 
 
 class PortHandles:
-    """All port handles of a tracker with the tip's coil and, optionally, the coil of a moving target."""
+    """All port handles of a tracker with the tip's coil and, optionally, a target's coil and an unprogrammed tool."""
 
-    def __init__(self, serial: str, target: str = "") -> None:
-        self._serial, self._target = serial, target
+    def __init__(self, serial: str, target: str = "", unprogrammed: bool = False, dual: bool = False) -> None:
+        """With `dual`, both coils are in one plug: the second one gets its handle when the first is initialised."""
+        self._serial, self._target, self._unprogrammed, self._dual = serial, target, unprogrammed, dual
         self.ports = self._plugged()
         self.changed = 0  #: system status bits, cleared when the host reads the ports
 
@@ -99,7 +102,7 @@ class PortHandles:
         self.changed |= 0x80
 
     def plug(self) -> None:
-        """Plug the tip's coil in again; it gets another handle."""
+        """Plug the tip's coil in again; it gets a new handle."""
         self.ports.append(ToolPort((max(port.handle for port in self.ports) + 1) & 0xFF, self._serial))
         self.changed |= PORT_OCCUPIED
 
@@ -113,11 +116,12 @@ class PortHandles:
     @property
     def _tip(self) -> ToolPort:
         """The newest handle of the tip's coil."""
-        return next(port for port in reversed(self.ports) if not port.target)
+        return next(port for port in reversed(self.ports) if port.serial and not port.target)
 
     def _plugged(self) -> list[ToolPort]:
         """Return the handles that plugged-in tools get at power-up."""
-        return [ToolPort(0x0A, self._serial), *([ToolPort(0x0B, self._target, target=True)] if self._target else [])]
+        target = [ToolPort(0x0B, self._target, target=True, port=2)] if self._target and not self._dual else []
+        return [ToolPort(0x0A, self._serial), *target, *([ToolPort(0x0C, "", port=3)] if self._unprogrammed else [])]
 
     def forget(self) -> None:
         """Reset all tools to not initialised and not enabled, as INIT does."""
@@ -129,7 +133,7 @@ class PortHandles:
         return [port for port in self.ports if port.enabled]
 
     def search(self, parameters: str) -> str:
-        """Return the answer to PHSR, which clears the reported changes."""
+        """Return the answer to PHSR, which searches for port handles; clear the reported changes."""
         tests = {
             0: lambda port: True,  # noqa: ARG005
             1: lambda port: port.gone,
@@ -145,24 +149,18 @@ class PortHandles:
         return f"{len(found):02X}" + "".join(f"{port.handle:02X}{port.status:03X}" for port in found)
 
     def information(self, parameters: str) -> str:
-        """Return the answer to PHINF."""
+        """Return the answer to PHINF, which requests information about a port handle."""
         port = self._port(parameters[:2])
         options = number(parameters[2:] or "0001", 4)
         if port.gone:
             return "UNOCCUPIED"
-        fields = {
-            0x0001: f"{'02000000':8}{'simulated':12}{'001':3}{port.serial:8}{port.status:02X}",
-            0x0002: "00000000",
-            0x0004: f"{'CTR-TARGET-5DOF' if port.target else 'CTR-TIP-5DOF':20}",
-            0x0008: "00",
-            0x0010: "00",
-            0x0020: "00000000000001",
-            0x0040: "00",
-        }
-        return "".join(text for bit, text in fields.items() if options & bit)
+        if options not in (0x0001, 0x0021):
+            raise AuroraRefusal(0x23)
+        place = f"{'00000000':8}10{port.port:02}{port.channel:02X}" if options & 0x0020 else ""
+        return f"{'02000000':8}{'simulated':12}{'001':3}{port.serial:8}{port.status:02X}{place}"
 
     def change(self, name: str, parameters: str, tracking: bool) -> None:
-        """Execute PINIT, PENA, PDIS or PHF."""
+        """Execute PINIT, PENA or PHF: initialise, enable or free a port handle."""
         port = self._port(parameters[:2])
         if tracking:
             raise AuroraRefusal(0x0C)
@@ -178,11 +176,15 @@ class PortHandles:
         elif port.gone:
             raise AuroraRefusal(0x0D)
         elif name == "PINIT":
+            if not port.serial:
+                raise AuroraRefusal(0x13)
             port.initialised = True
+            if self._dual and len(self.ports) == 1:
+                self.ports.append(ToolPort(0x0B, port.serial, target=True, channel=1))
         elif not port.initialised:
             raise AuroraRefusal(0x0E)
         else:
-            port.enabled = name == "PENA"
+            port.enabled = True
 
     def _port(self, digits: str) -> ToolPort:
         handle = number(digits, 2)

@@ -7,13 +7,14 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from station.config.controllers import Present
-from station.config.robots import RobotFile
+from station.config.robots import WHOLE_LOAD, RobotFile
 from station.config.strict import ConfigError, Format, Name, NotNegative, Row, Strict, Vector, check, preset, read_toml
 from station.devices.cameras import ONE_CAMERA, CameraFile, check_cameras
+from station.lab.gcode_variants import VARIANTS
 
 
 class TubeError(Strict):
-    """Differences of a true tube from the controller's model, as fractions."""
+    """Relative differences between a true tube and the controller's model of it, as fractions."""
 
     stiffness: Annotated[float, Field(gt=-0.9, lt=10.0)] = 0.0
     """error of the bending stiffness EI"""
@@ -29,8 +30,8 @@ class PlantConfig(Strict):
         "outer": TubeError(stiffness=0.04, curvature=0.02),
     }
     """errors by tube name; a tube without an entry has exactly the robot file's values"""
-    poisson_ratio: Annotated[float, Field(gt=-1.0, le=0.5)] | None = 0.35
-    """Poisson's ratio of all tubes to which the robot file gives one"""
+    poisson_ratio: Annotated[float, Field(gt=-1.0, le=0.5)] | Literal["described"] = 0.35
+    """Poisson's ratio of all tubes that have one in the robot file; `described`: the robot file's value"""
     vary: Annotated[float, Field(ge=0.0, lt=0.5)] = 0.0
     """largest random error of each tube's EI and curvature, as a fraction, drawn from the seed; replaces `tubes`"""
     play: Mapping[str, NotNegative] = {"inner_rotation": math.radians(0.1)}
@@ -53,7 +54,7 @@ class PlantConfig(Strict):
     density: Annotated[float, Field(ge=0.0, le=3e4)] = 0.0
     """rough: density of the tubes' material; the tubes' weight bends them along +x [kg/m^3]"""
     walk: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
-    """rough: random walk of each tube's precurvature, standard deviation after an hour, as a fraction"""
+    """rough: standard deviation of the random walk of each tube's precurvature after an hour, as a fraction"""
     step: Annotated[float, Field(ge=1e-4, le=0.05)] = 0.020
     """integration step of the exact rod [m]"""
 
@@ -64,7 +65,7 @@ class PlantConfig(Strict):
         for name in smooth if self.rod == "rough" else rough:
             if getattr(self, name) > 0.0:
                 other = "smooth" if self.rod == "rough" else "rough"
-                raise ValueError(f"{name} belongs to rod = '{other}'; here it must be 0")
+                raise ValueError(f"{name}: only rod = '{other}' uses it; set it to 0 or change rod")
         return self
 
     def check_names(self, robot: RobotFile) -> None:
@@ -90,7 +91,7 @@ class TrackerConfig(Strict):
     noise: NotNegative = 0.1e-3
     """standard deviation of the position noise on each axis [m]"""
     distortion: Annotated[float, Field(ge=0.0, le=0.02)] = 0.0
-    """position error by metal in the field, RMS over the measured cube [m]; its form is drawn from the seed"""
+    """position error caused by metal in the field, RMS over the measured cube [m]; its shape is drawn from the seed"""
     direction_noise: Annotated[float, Field(ge=0.0, le=0.5)] | None = 0.005
     """standard deviation of the coil's axis about each of two lateral axes [rad]; None: the axis is not reported"""
 
@@ -98,6 +99,8 @@ class TrackerConfig(Strict):
 class BaseSensorConfig(Strict):
     """Six-axis sensors at the tubes' bases."""
 
+    at: str = "tubes"
+    """`tubes`: a sensor on each tube; `robot`: one sensor under the whole robot; name of a tube: one sensor, on it"""
     force_noise: NotNegative = 0.02
     """standard deviation of the force noise of one sample [N]"""
     moment_noise: NotNegative = 0.2e-3
@@ -109,7 +112,7 @@ class BaseSensorConfig(Strict):
     drift: NotNegative = 5e-3 / 60.0
     """rate of the drift of each force axis, with a random sign [N/s]"""
     moment_drift: NotNegative = 0.1e-3 / 60.0
-    """rate of the drift of each moment axis [N m/s]; assumed: relative to the range 1.4 times the forces' drift"""
+    """rate of the drift of each moment axis [N m/s]; assumed: 1.4 times the forces' drift, relative to the range"""
     force_offset: NotNegative = 1.0
     """largest force that a sensor reads without load before it is tared [N]"""
     moment_offset: NotNegative = 10e-3
@@ -179,8 +182,22 @@ class TargetConfig(Strict):
 
 #: Simulated stages, by the name of their driver, or of the dialect of the driver `gcode`.
 StagesKind = Literal["zaber", "zaber_ascii", "cia402", "grbl", "marlin"]
-#: Kinds of devices that a bench does not have.
+#: Variants of each kind of stages that behave differently from the variant `usual`.
+STAGES_VARIANTS: Mapping[StagesKind, tuple[str, ...]] = {
+    "zaber": (),
+    "zaber_ascii": (),
+    "cia402": ("no_home_offset",),
+    "grbl": tuple(name for name in VARIANTS if name != "usual"),
+    "marlin": ("starts_slowly",),
+}
+#: Kinds of devices that a bench can lack.
 Without = Annotated[tuple[Literal["tracker", "sensors"], ...], Row]
+
+
+def check_variant(stages: StagesKind, variant: str) -> None:
+    """Raise ValueError if stages of a kind have no such variant."""
+    if variant not in (names := ("usual", *STAGES_VARIANTS[stages])):
+        raise ValueError(f"variant = '{variant}': stages '{stages}' have the variants {', '.join(names)}")
 
 
 class LabConfig(Strict):
@@ -194,6 +211,10 @@ class LabConfig(Strict):
     """`wire`: the devices are simulated with their wires; `ideal`: the devices have no noise, delay and wires"""
     stages: StagesKind = "zaber"
     """simulated stages, by the name of their driver, or of the dialect of the driver `gcode`"""
+    variant: str = "usual"
+    """variant of the stages, as real ones differ: `starts_slowly`, `as_delivered`, `homes_down`, `work_positions`,
+    `reports_inches`, `reads_inches`, `grblhal`, `fluidnc` (grbl), `starts_slowly` (marlin), `no_home_offset`
+    (cia402)"""
     plant: PlantConfig = PlantConfig()
     """parameters of the plant: its true tubes and their friction"""
     tracker: TrackerConfig = TrackerConfig()
@@ -215,8 +236,14 @@ class LabConfig(Strict):
 
     @property
     def present(self) -> Present:
-        """Which devices the bench has besides its stages."""
-        return Present("tracker" not in self.without, "sensors" not in self.without)
+        """The devices that the bench has in addition to its stages."""
+        return Present("tracker" not in self.without, "sensors" not in self.without and self.sensors.at in WHOLE_LOAD)
+
+    @model_validator(mode="after")
+    def _known_variant(self) -> Self:
+        """Refuse a variant that the stages do not have."""
+        check_variant(self.stages, self.variant)
+        return self
 
     @model_validator(mode="after")
     def _coil_on_a_wire(self) -> Self:
@@ -236,24 +263,32 @@ class LabConfig(Strict):
             if not camera.simulated:
                 raise ValueError(f"cameras.{name}.device: the virtual lab has only simulated cameras; remove the key")
         if self.devices == "ideal" or self.target is not None:
-            raise ValueError("cameras: they need devices = 'wire', and they measure no target")
+            raise ValueError("cameras: they need devices = 'wire' and measure no target; change devices, remove target")
         return self
 
 
-#: Former names of preset labs and their present names, because old files still use them.
+#: Present names of renamed preset labs, by their former names, which old files still use.
 FORMER_NAMES = {"default": "gentle"}
 
 
 class LabChoice(Strict):
-    """A virtual lab with other stages."""
+    """A virtual lab whose simulated stages are replaced by another kind."""
 
     base: str = "gentle"
     """preset, or path of a .toml file relative to this file"""
     stages: StagesKind
     """simulated stages, by the name of their driver, or of the dialect of the driver `gcode`"""
+    variant: str = "usual"
+    """variant of the stages, as in the file of a lab"""
+
+    @model_validator(mode="after")
+    def _known_variant(self) -> Self:
+        """Refuse a variant that the stages do not have."""
+        check_variant(self.stages, self.variant)
+        return self
 
     def __str__(self) -> str:
-        return f"{self.base} with stages '{self.stages}'"
+        return f"{self.base} with stages '{self.stages}'" + (f" ({self.variant})" if self.variant != "usual" else "")
 
 
 #: Value of `lab` in a station or experiment file.
@@ -267,7 +302,7 @@ def load_lab(name: LabName, robot: RobotFile) -> LabConfig:
         ConfigError: the file is invalid; the message names file, key, value and what was expected.
     """
     if isinstance(name, LabChoice):
-        return load_lab(name.base, robot).model_copy(update={"stages": name.stages})
+        return load_lab(name.base, robot).model_copy(update={"stages": name.stages, "variant": name.variant})
     path = preset("labs", FORMER_NAMES.get(name, name))
     lab = check(LabConfig, read_toml(path), str(path))
     try:

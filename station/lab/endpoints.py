@@ -26,13 +26,13 @@ HOST = "127.0.0.1"
 #: Largest number of bytes read from a line at one poll, which is the size of a serial port's buffer. Further bytes wait
 #: in the operating system's buffers.
 MAX_READ_BYTES = 4096
-#: Connections accepted at one poll; others wait, so that a flood of connections does not delay the devices.
+#: Largest number of connections accepted at one poll, because a flood of connections must not delay the devices.
 MAX_VISITORS = 16
 _REQUEST_LINE = re.compile(rb"([A-Z]+) ([!->@-~]+)(?:\?[!-~]*)? HTTP/1\.[01]")
-#: Limits of the box's page server: size of a request [bytes], number of simultaneous connections, and number of polls
-#: after which a slow request is cut off.
+#: Limits of the page server of a force-sensor box: size of a request [bytes], number of simultaneous connections, and
+#: number of polls after which a slow request is cut off.
 MAX_REQUEST_BYTES, MAX_CONNECTIONS, MAX_REQUEST_POLLS = 8192, 16, 2000
-#: Largest number of datagrams read at one poll, because a flood of requests must not delay the box's records.
+#: Largest number of datagrams read at one poll, because a flood of requests must not delay a force sensor's records.
 MAX_DATAGRAMS = 64
 
 
@@ -41,7 +41,7 @@ class AddressInUse(CtrError):
 
 
 class Readable:
-    """The files with unread data, found by one system call; an endpoint tries no read that would find nothing.
+    """The file descriptors with unread data, found by one system call, so that endpoints read only if there are data.
 
     Before the first `wait` every file counts as readable.
     """
@@ -105,7 +105,7 @@ class TcpDeviceEnd:
         self.close()
 
     def plug(self) -> None:
-        """Plug the cable in again; raises AddressInUse when another program has the port meanwhile."""
+        """Plug the cable in again; raises AddressInUse if another program has taken the port."""
         try:
             self._server = socket.create_server((HOST, self._port))
         except OSError as error:
@@ -128,7 +128,7 @@ class TcpDeviceEnd:
                     visitor.close()
                     continue
                 visitor.setblocking(False)
-                visitor.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # prevents that replies come in batches
+                visitor.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # send each reply at once
                 self._host = visitor
 
 
@@ -169,7 +169,7 @@ class PtyDeviceEnd:
         self.close()
 
     def plug(self) -> None:
-        """Plug the cable in again: open a new terminal, whose name may differ as that of a real USB adapter may."""
+        """Plug the cable in again: open a new terminal. Its name may change, like that of a real USB adapter."""
         # Keep the host's side open, because the line would hang up when a host closes it.
         self._files = list(os.openpty())
         tty.setraw(self._files[1])
@@ -185,7 +185,7 @@ class PtyDeviceEnd:
 
 
 class UdpDeviceEnd:
-    """The box's port on a network."""
+    """The UDP port of a simulated force-sensor box."""
 
     def __init__(self, host: str, port: int, readable: Readable | None = None) -> None:
         """Open the port; port 0 selects any free port. Raises AddressInUse."""
@@ -205,7 +205,7 @@ class UdpDeviceEnd:
         return [self._socket.fileno()]
 
     def receive(self) -> list[tuple[bytes, Address]]:
-        """Return the received datagrams; errors of hosts that have gone are ignored."""
+        """Return the received datagrams; errors because a host has closed its port are ignored."""
         found: list[tuple[bytes, Address]] = []
         if self._socket.fileno() not in self._readable:
             return found
@@ -219,7 +219,7 @@ class UdpDeviceEnd:
         return found
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Send one datagram; it is lost if the buffer is full or the host absent."""
+        """Send one datagram; it is lost if the buffer is full or the host does not exist."""
         with contextlib.suppress(OSError):
             self._socket.sendto(datagram, to)
 
@@ -284,7 +284,7 @@ class PageServer:
         self._socket.close()
 
     def _serve(self, connection: _PageRequest) -> bool:
-        """Continue with a connection; return False when it is finished."""
+        """Serve a connection without waiting; return False when it is finished."""
         connection.polls[0] += 1
         active = connection.polls[0] < MAX_REQUEST_POLLS
         try:
@@ -308,7 +308,7 @@ class PageServer:
 
 
 def respond(request: bytes, page: Callable[[], bytes | None]) -> bytes:
-    """Return the page server's answer to a request; b"" if the request is incomplete or the box is mute."""
+    """Return the page server's answer to a request; b"" if the request is incomplete or `page` returns None."""
     head, complete, _ = request.partition(b"\r\n\r\n")
     if not complete:
         return _answer(b"431 Request Header Fields Too Large", b"") if len(request) >= MAX_REQUEST_BYTES else b""

@@ -19,9 +19,8 @@ from pydantic import model_validator
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, NotNegative, Positive, Strict
 from station.lab.simulated_aurora import AuroraFaults, SimulatedAurora
+from station.lab.simulated_line import Faults, SimulatedStages
 from station.lab.simulated_netft import NetftFaults, SimulatedNetft
-from station.lab.simulated_stages import SimulatedStages
-from station.lab.simulated_zaber import Faults
 from station.lab.wires import DeviceLine, Plug
 
 Part = Literal["stages", "joint", "tracker", "sensor"]
@@ -33,6 +32,7 @@ FaultKind = Literal[
     "disconnect",
     "restart",
     "stall",
+    "clamp",
     "lose_tool",
     "lose_target",
     "unplug",
@@ -44,9 +44,9 @@ FaultKind = Literal[
 
 
 class FaultProperties(NamedTuple):
-    """Properties of a kind of fault: effect, possible targets, bound of the fault's size, and duration.
+    """Properties of a kind of fault: effect, possible targets, largest value, and whether it has a duration.
 
-    A kind without a duration happens at one time.
+    A fault without a duration happens at one moment.
     """
 
     effect: str  #: what the fault does, as a sentence
@@ -73,6 +73,8 @@ FAULT_KINDS: dict[FaultKind, FaultProperties] = {
         " behind it. Force sensor: its box has no network.", FAULT_TARGETS),
     "restart": FaultProperties("The device is switched off and on.", FAULT_TARGETS, lasts=False),
     "stall": FaultProperties("The motor counts steps without moving.", ("joint",)),
+    "clamp": FaultProperties(
+        "The stage and its counter do not move, although the device accepts commands.", ("joint",)),
     "lose_tool": FaultProperties("The tracker does not see the coil at the tip.", ("tracker",)),
     "lose_target": FaultProperties("The tracker does not see the coil on the target.", ("tracker",)),
     "unplug": FaultProperties("The plug of the coil at the tip is pulled.", ("tracker",)),
@@ -88,7 +90,7 @@ class FaultTarget(NamedTuple):
     """The devices that a fault affects."""
 
     part: Part
-    indices: tuple[int, ...]  #: indices of joints or tubes, in the robot file's order
+    indices: tuple[int, ...]  #: indices of joints or force sensors, in the robot file's order
 
 
 class LabFault(Strict):
@@ -96,7 +98,7 @@ class LabFault(Strict):
 
     kind: FaultKind
     device: str
-    """stages, tracker, sensors, or one of them by its joint's or tube's name"""
+    """stages, tracker, sensors, or one of them by its joint's or tube's name; `robot`: the sensor under the robot"""
     at: NotNegative = 0.0
     """start time of the fault, relative to the motion's start or to the injection [s]"""
     duration: Positive | None = None
@@ -108,11 +110,11 @@ class LabFault(Strict):
     def _is_whole(self) -> Self:
         kind = FAULT_KINDS[self.kind]
         if kind.maximum is None and self.value is not None:
-            raise ValueError(f"'{self.kind}' has no value")
+            raise ValueError(f"'{self.kind}' has no value; remove the key value")
         if kind.maximum is not None and (self.value is None or self.value > kind.maximum):
             raise ValueError(f"'{self.kind}' needs a value above 0, at most {kind.maximum:g} ({kind.unit})")
         if not kind.lasts and self.duration is not None:
-            raise ValueError(f"'{self.kind}' happens at once and has no duration")
+            raise ValueError(f"'{self.kind}' happens at once and has no duration; remove the key duration")
         return self
 
     def target(self, robot: RobotFile) -> FaultTarget:
@@ -121,24 +123,24 @@ class LabFault(Strict):
         Raises:
             ConfigError: the robot has no such device, or the device cannot have this fault.
         """
-        joints, tubes = [joint.name for joint in robot.joints], [tube.name for tube in robot.tubes]
+        joints, carried = [joint.name for joint in robot.joints], robot.sensor_names
         whole: dict[str, FaultTarget] = {
             "stages": FaultTarget("stages", tuple(range(len(joints)))),
             "tracker": FaultTarget("tracker", ()),
-            "sensors": FaultTarget("sensor", tuple(range(len(tubes)))),
+            "sensors": FaultTarget("sensor", tuple(range(len(carried)))),
         }
         found = [whole[self.device]] if self.device in whole else []
         found += [FaultTarget("joint", (i,)) for i, name in enumerate(joints) if name == self.device]
-        found += [FaultTarget("sensor", (i,)) for i, name in enumerate(tubes) if name == self.device]
+        found += [FaultTarget("sensor", (i,)) for i, name in enumerate(carried) if name == self.device]
         if not found:
-            names = ", ".join([*whole, *joints, *tubes])
+            names = ", ".join([*whole, *joints, *carried])
             raise ConfigError(f"device = '{self.device}': expected one of {names} (robot '{robot.name}')")
         possible = [target for target in found if target.part in FAULT_KINDS[self.kind].parts]
         if not possible:
             able = [kind for kind, about in FAULT_KINDS.items() if found[0].part in about.parts]
-            raise ConfigError(f"kind = '{self.kind}': '{self.device}' cannot have it, but {', '.join(able)}")
+            raise ConfigError(f"kind = '{self.kind}': '{self.device}' can have only the faults {', '.join(able)}")
         if len(possible) > 1:
-            raise ConfigError(f"device = '{self.device}': robot '{robot.name}' has a joint and a tube of that name")
+            raise ConfigError(f"device = '{self.device}' is a joint and a tube of robot '{robot.name}'; rename one")
         return possible[0]
 
 
@@ -159,8 +161,8 @@ class Incident(NamedTuple):
 
     fault: LabFault
     target: FaultTarget
-    start: float  #: [s]
-    end: float  #: [s]; infinite: permanent
+    start: float  #: start time [s]
+    end: float  #: end time [s]; inf: permanent
 
     @property
     def size(self) -> float:
@@ -179,7 +181,7 @@ class FaultScript:
         boxes: Sequence[SimulatedNetft],
         lines: tuple[DeviceLine, DeviceLine],
     ) -> None:
-        """`lines` are the lines of the chain and of the Aurora."""
+        """`lines` are the serial lines of the stages and of the Aurora."""
         self.due = math.inf  #: time at which the next fault starts or ends, for `apply` [s]
         self.active: tuple[Incident, ...] = ()  #: faults that are active now
         self._robot, self._chain, self._aurora, self._boxes, self._lines = robot, chain, aurora, tuple(boxes), lines
@@ -247,20 +249,21 @@ class FaultScript:
 
 
 def zaber_faults(active: Sequence[Incident]) -> Faults:
-    """Return the active faults of the stages' chain, as the simulated chain expects them."""
+    """Return the active faults of the stages in the form that the simulated stages expect."""
     mine = [one for one in active if one.target.part in ("stages", "joint")]
-    slots = {kind: frozenset(i + 1 for i in _indices(mine, kind)) for kind in ("mute", "stall")}
+    slots = {kind: frozenset(i + 1 for i in _indices(mine, kind)) for kind in ("mute", "stall", "clamp")}
     cuts = [index + 1 for index in _indices(mine, "disconnect")]
     return Faults(
         **_line_faults(mine),
         mute=slots["mute"],
         cut=min(cuts, default=None),
         stalled=slots["stall"],
+        clamped=slots["clamp"],
     )
 
 
 def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
-    """Return the active faults of the tracker, as the simulated Aurora expects them."""
+    """Return the active faults of the tracker in the form that the simulated Aurora expects."""
     mine = [one for one in active if one.target.part == "tracker"]
     kinds = {one.fault.kind for one in mine}
     return AuroraFaults(
@@ -274,7 +277,7 @@ def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
 
 
 def netft_faults(active: Sequence[Incident], index: int) -> NetftFaults:
-    """Return the active faults of the force sensor at tube `index`, as its simulated Net F/T box expects them."""
+    """Return the active faults of the force sensor `index` in the form that its simulated box expects."""
     mine = [one for one in active if one.target.part == "sensor" and index in one.target.indices]
     kinds = {one.fault.kind for one in mine}
     return NetftFaults(

@@ -24,7 +24,7 @@ KNOT_INTERVAL_S = 10.0
 
 
 class RandomWalk:
-    """One Brownian walk for each tube; its values do not depend on the times at which they are read."""
+    """Brownian walk of each tube's precurvature; its values do not depend on the times at which they are read."""
 
     def __init__(self, hourly: float, tubes: int, rng: np.random.Generator) -> None:
         """Create the walks; `hourly` is the standard deviation of the precurvature after an hour, as a fraction."""
@@ -68,7 +68,12 @@ class FrictionalPlant:
         memory.gravity[:] = np.array(GRAVITY) @ true.base.rotation
         memory.stages[:] = memory.tubes_at[:] = positions
         if not self._initialise(positions, np.zeros(3), np.inf):
-            raise NoSolution(f"the true robot has no shape at {positions.tolist()} [rad, m]")
+            raise NoSolution(f"the true robot has no equilibrium shape at joints {positions.tolist()} [rad, m]")
+
+    @property
+    def tubes_at(self) -> Array:
+        """Joint positions (n,) of the tubes; they lag the stages within the play of the drives [rad or m]."""
+        return self._memory.tubes_at
 
     @property
     def rotation(self) -> Array:
@@ -87,7 +92,7 @@ class FrictionalPlant:
         return self._packed.copy()
 
     def restore(self, memory: Array) -> None:
-        """Return to an earlier state from `memory`."""
+        """Restore an earlier state that the method `memory` has returned."""
         self._packed[:] = memory
 
     def advance(self, positions: Array, force: Array, contact: float = np.inf, now: float = 0.0) -> PlantState:
@@ -104,7 +109,7 @@ class FrictionalPlant:
         if self._walk is not None:
             self._curvatures[:] = (1.0 + self._walk.at(now))[:, None, None] * self._drawn
         if not self._step_to(positions, force, contact) and not self._subdivide(positions, force, contact):
-            raise NoSolution(f"the true robot has no shape at {positions.tolist()} [rad, m] under {force.tolist()} N")
+            raise NoSolution(f"the true robot has no shape at joints {positions.tolist()} under {force.tolist()} N")
         memory, self._contact = self._memory, contact
         truth = GroundTruth(memory.tip.copy(), force, direction=memory.rotation[:, 2].copy())
         return PlantState(truth, memory.wrenches.copy())
@@ -115,7 +120,7 @@ class FrictionalPlant:
         return _advance(self._layout, self._packed, q, n, k, positions, force, contact, self._step, RESIDUAL_TOLERANCE)
 
     def _subdivide(self, positions: Array, force: Array, contact: float) -> bool:
-        """Reach the positions in shorter steps; if the robot snaps to another shape, solve that without friction."""
+        """Reach the positions in shorter steps; if the robot snaps to a new shape, solve it without friction."""
         before = self._packed.copy()
         stages, last_force = self._memory.stages.copy(), self._memory.force.copy()
         for parts in (4, 16, 64):
@@ -150,14 +155,14 @@ class _FrictionalPlantMemory(NamedTuple):
 
     stages: Array  #: (n,) positions of the stages at the last tick [rad or m]
     force: Array  #: (3,) load at the last tick [N]
-    tubes_at: Array  #: (n,) joint positions of the tubes behind the play of their drives [rad or m]
+    tubes_at: Array  #: (n,) joint positions of the tubes; they lag the stages within the play of the drives [rad or m]
     play: Array  #: (n,) play of each joint's drive [rad or m]
     beta: Array  #: (q,) proximal ends of the tubes at the last tick [m]
     friction: Array  #: (slots, 4) state of the friction, see `frictional_rod`
     numbers: Array  #: (3,) parameters of the friction: grip [1/m], stick [m], gap [m]
     tubes: Array  #: (q, 2) radius [m] and weight [N/m] of each tube
     gravity: Array  #: (3,) direction of gravity in the axes of the plate
-    unknowns: Array  #: (2, q + 2) unknowns of the rod's boundary-value problem, now and at the tick before
+    unknowns: Array  #: (2, q + 2) unknowns of the rod's boundary-value problem, at this tick and the previous one
     chord: Array  #: (q + 2, q + 2) inverse derivative of the boundary conditions, from which Newton's method starts
     tip: Array  #: (3,) position of the tip, world frame [m]
     rotation: Array  #: (3, 3) frame of the innermost tube at the tip, world frame
@@ -256,7 +261,7 @@ def _trace(
 ) -> Array:  # fmt: skip
     """Write the centre line at the last tick to `path` (m, 7), in the plate's axes; return the proximal ends (q,) [m].
 
-    Without motion the friction keeps its values, so the integration repeats that of the last tick.
+    The tubes do not move here, so the friction is constant and the integration gives the shape of the last tick.
     """
     layout, memory = unpack(robot), _unpack(packed, q, n, k)
     alpha, beta, _ = tube_poses(layout, memory.tubes_at)

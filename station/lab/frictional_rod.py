@@ -10,12 +10,12 @@ rotation (by a torque r T about the tangent) and sliding. Along the relative pat
 
     dT = (T_max dx - T |dx|) / x_s
 
-and therefore depends on the past motion, not on time. The torque enters the torsion of both tubes as a jump of GJ u_z,
-so torque and shape are solved together.
+so it depends on the past motion, not on time. The torque causes a jump of GJ u_z in the torsion of both tubes.
+Therefore torque and shape are solved together.
 
-Clearance (Ha, Fagogenis and Dupont 2019): the inner tubes bend freely over the last part of the outer tube. Its length
-is d = sqrt(6 g / du), on which tubes whose curvatures differ by du cross the gap g. The inner tubes leave the outer
-tube rotated by du_bundle d / 2, where du_bundle is the change of the bundle's curvature at the outer tube's end.
+Clearance (Ha, Fagogenis and Dupont 2019): the inner tubes bend freely over the last part of the outer tube. This part
+has the length d = sqrt(6 g / du), in which tubes whose curvatures differ by du cross the gap g. The inner tubes leave
+the outer tube at the angle du_bundle d / 2; du_bundle is the change of the bundle's curvature at the outer tube's end.
 
 Each base carries one tube: the tube's bending moment K_i (u - u_i^), torque GJ_i u_iz and shear t x m_i' at the plate,
 and a force along z. The force along z follows from the invariant n_i . t + m_i . u_i - W_i, where W_i is the elastic
@@ -36,12 +36,12 @@ from core.robot.robot import Array, Layout
 def dahl_friction(
     limit: float, stick: float, radius: float, turned: float, slid: float, old: Array, new: Array
 ) -> None:
-    """Write to `new` the Dahl friction after a motion of the inner tube relative to the outer one, from `old`.
+    """Compute the Dahl friction `new` after a motion of the inner tube relative to the outer one, from `old` before it.
 
     `old` and `new` have four numbers: friction force about and along the tangent [N], relative angle [rad], and a flag
-    that is 1 after the first call. `turned` is the current relative angle [rad], `slid` the sliding distance since the
-    previous tick [m], `limit` the largest friction force [N], `stick` the path over which friction reverses [m], and
-    `radius` the contact radius [m].
+    that is 1 after the first call. `turned` is the current relative angle [rad], and `slid` is the sliding distance
+    since the previous tick [m]. `limit` is the largest friction force [N], `stick` the path over which friction
+    reverses [m], and `radius` the contact radius [m].
     """
     new[2], new[3] = turned, 1.0
     if old[3] == 0.0:
@@ -53,7 +53,7 @@ def dahl_friction(
     if distance > 0.0:
         toward = limit * (1.0 - decay) / distance
     new[0], new[1] = toward * about + decay * old[0], toward * along + decay * old[1]
-    # The limit falls with the normal force. The friction from before may then exceed the limit and is reduced to it.
+    # The limit falls with the normal force. The previous friction may then exceed the limit and is reduced to it.
     size = np.sqrt(new[0] * new[0] + new[1] * new[1])
     if size > limit:
         new[0] *= limit / size
@@ -73,14 +73,14 @@ class FrictionContact(NamedTuple):
 
 @compiled
 def slots(layout: Layout) -> int:
-    """Return the number of friction slots: for each pair of neighbours, the ends of all sections of all tubes."""
+    """Return the number of friction slots: one for each pair of neighbours and each section end of each tube."""
     q, k = layout.ends.shape
     return max(q - 1, 1) * q * k
 
 
 @compiled
 def _bend(y: Array, curvature: Array, bend: Array, softness: float, u: Array, moments: Array) -> None:
-    """Write the bundle's curvature to `u` (2,) and each tube's bending moment (q, 2), axes of the innermost tube."""
+    """Write the bundle's curvature to `u` (2,), the bending moments to `moments` (q, 2); axes of the innermost tube."""
     q = bend.shape[0]
     u[0], u[1] = y[7], y[8]
     for i in range(q):
@@ -144,7 +144,7 @@ def integrate(
     unknowns: Array,
     step: float, slid: Array, old: Array, new: Array, y: Array, ends: Array, bases: Array, path: Array,
 ) -> None:  # fmt: skip
-    """Integrate from the plate to the tip, in the plate's axes; `ends` (q + 2) receives the end conditions.
+    """Integrate the rod from the plate to the last tube end, in the plate's axes; the outputs are marked `out` below.
 
     Args:
         layout: tubes at the current pose.
@@ -152,7 +152,7 @@ def integrate(
         alpha: rotations of the tubes (q,) [rad].
         beta: proximal ends of the tubes (q,) [m].
         tip_force: external force (3,), plate's axes [N].
-        contact: arc length at which `tip_force` acts, inf for the tip [m].
+        contact: arc length at which `tip_force` acts [m], at most that of the last tube end; inf for the tip.
         unknowns: m_x, m_y [N m] and u_iz [1/m] at the plate (q + 2,).
         step: longest integration step [m].
         slid: displacement of each tube along z since the previous tick (q,) [m].
@@ -181,6 +181,10 @@ def integrate(
     k1, k2, k3, k4, at = stages[0], stages[1], stages[2], stages[3], stages[4]
     start, first = 0.0, True
     count = put_point(path, 0, 0.0, y)
+    tip, retracted = y[:7].copy(), section[0] == layout.counts[0]  # whether outer tubes reach beyond the tip
+    if retracted and contact == np.inf:
+        pull[0] += _tangent(y, load)
+        load[:] = 0.0
     end, end_tube, total = present(layout, beta, section, bend, twist, ratio, curvature)
     while end_tube >= 0:
         ending = end_tube
@@ -218,7 +222,7 @@ def integrate(
         remaining -= (end - start) * heavy
         start = end
         if ending < 0:
-            # The outermost tube present carries the force.
+            # The outermost of the tubes that reach this point carries the force.
             touched = 0
             for i in range(q):
                 if bend[i] > 0.0:
@@ -251,6 +255,11 @@ def integrate(
         if end_tube < 0:
             pull[ending] += _tangent(y, load)
             break
+        if finished and ending == 0:
+            retracted, tip[:] = True, y[:7]
+            if contact == np.inf:
+                for k in range(3):
+                    load[k], force[k] = 0.0, remaining * rough.gravity[k]
         _bend(y, curvature, bend, 1.0 / total, u, after)
         step_u[0], step_u[1] = u[0] - bent[0], u[1] - bent[1]
         if finished:
@@ -284,7 +293,7 @@ def integrate(
             if rough.gap > 0.0 and size > 0.0:
                 # The term 1e-4 keeps `half` finite if the curvature step vanishes, where the kink has no direction.
                 half = 0.5 * np.sqrt(6.0 * rough.gap * ended / (stiffness * np.sqrt(size * size + 1e-4)))
-                # Over that length, on average half of the transferred moment does not twist the tubes yet.
+                # Over this length, on average half of the transferred moment does not twist the tubes yet.
                 for i in range(neighbours + 1):
                     less = (after[i, 0] - before[i, 0]) * bent[1] - (after[i, 1] - before[i, 1]) * bent[0]
                     y[9 + i] += half * less * layout.stiffness[i, 1] / layout.stiffness[i, 0]
@@ -295,6 +304,8 @@ def integrate(
     for i in range(q):
         ends[2 + i] = y[9 + i]
         bases[i, 2] = pull[i]
+    if retracted:
+        y[:7] = tip
 
 
 @compiled
@@ -353,7 +364,7 @@ def settle(
     layout: Layout, rough: FrictionContact, alpha: Array, beta: Array, world_force: Array, contact: float, guess: Array,
     chord: Array, step: float, tolerance: float, slid: Array, old: Array, new: Array, bases: Array,
 ) -> tuple[Array, Array, Array, Array, float]:  # fmt: skip
-    """Solve the shape by Newton with Broyden's updates: the derivative changes abruptly when friction starts to slide.
+    """Solve the shape by Newton's method with Broyden's updates, as the derivative jumps when friction starts to slide.
 
     Returns unknowns for the next guess, chord, tip, frame and the residual of the end conditions. A residual above
     `tolerance` means failure. `new` receives friction and `bases` the base loads of the solved shape, in the plate's
@@ -369,7 +380,7 @@ def settle(
     unknowns, trial, inverse = guess.copy(), guess.copy(), chord.copy()
     integrate(layout, rough, alpha, beta, force, contact, unknowns, step, slid, old, new, y, ends, bases, nowhere)
     residual = largest(ends)
-    exact, stale = False, not inverse.any()  # derivative: computed at this point; must be recomputed
+    exact, stale = False, not inverse.any()  # whether the derivative was computed at this point; must be recomputed
     iterations = 0
     while residual > tolerance and iterations < 80:
         if stale:

@@ -1,11 +1,11 @@
-"""Planner of a G-code board: straight blocks with constant acceleration and look-ahead to the end of the queue."""
+"""Motion planner of a G-code board: straight blocks, constant acceleration, look-ahead to the end of the queue."""
 
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-JUNCTION_DEVIATION = 0.01  #: default of both firmwares, about the same [unit]
+JUNCTION_DEVIATION = 0.01  #: GRBL's default, which is about Marlin's [unit]
 
 
 @dataclass
@@ -16,7 +16,7 @@ class Block:
     length: float  #: [unit]
     speed: float  #: [unit/s]
     acceleration: float  #: [unit/s^2]
-    entry: float  #: largest speed at its start [unit/s]
+    entry: float  #: largest speed at the block's start [unit/s]
 
 
 class Planner:
@@ -30,7 +30,8 @@ class Planner:
         self.accelerations = [1e3] * axes  #: [unit/s^2]
         self._end = [0.0] * axes
         self._speed = 0.0
-        self.holding = False  #: whether the axes brake to empty the queue
+        self._clamped: set[int] = set()
+        self.holding = False  #: whether the axes brake; at rest they empty the queue
 
     @property
     def moving(self) -> bool:
@@ -68,13 +69,19 @@ class Planner:
         self._end = list(target)
 
     def hold(self) -> None:
-        """Brake, then empty the queue."""
+        """Start to brake; empty the queue when the axes are at rest."""
         self.holding = bool(self.blocks)
 
     def halt(self) -> None:
         """Stop without a ramp and empty the queue."""
         self.blocks.clear()
         self._speed, self.holding, self._end = 0.0, False, list(self.position)
+
+    def clamp(self, axes: set[int]) -> None:
+        """Keep these axes and their counts at rest while blocks are executed."""
+        if self._clamped - axes:
+            self.halt()  # a released axis counts from its present position
+        self._clamped = axes
 
     def set_position(self, axis: int, position: float) -> None:
         """Set the coordinate of an axis at rest."""
@@ -95,7 +102,7 @@ class Planner:
                 self.halt()
 
     def _run(self, block: Block, exit_speed: float, left: float) -> float:
-        """Execute the first block for at most `left` [s], and return the rest of that time."""
+        """Execute the first block for at most `left` [s], and return the remaining time [s]."""
         v, a, r = self._speed, block.acceleration, block.length
         if self.holding:
             phases = [(-a, v / a)]
@@ -114,7 +121,7 @@ class Planner:
             if step <= 0.0:
                 continue
             distance = (self._speed + 0.5 * acceleration * step) * step
-            if distance >= block.length:  # the end of the block inside a phase
+            if distance >= block.length:  # the block ends within this phase
                 full = self._time_to(block.length, acceleration)
                 self._speed = max(0.0, self._speed + acceleration * full)
                 self._finish(block)
@@ -138,10 +145,12 @@ class Planner:
     def _move(self, block: Block, distance: float) -> None:
         block.length -= distance
         for i, u in enumerate(block.direction):
-            self.position[i] += u * distance
+            if i not in self._clamped:
+                self.position[i] += u * distance
 
     def _finish(self, block: Block) -> None:
         self._move(block, block.length)
         self.blocks.popleft()
         if not self.blocks:
-            self._speed, self.position = 0.0, list(self._end)
+            self._speed = 0.0
+            self.position = [p if i in self._clamped else self._end[i] for i, p in enumerate(self.position)]

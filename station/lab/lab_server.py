@@ -37,8 +37,9 @@ PRIORITY = 40
 
 
 def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationClock = REAL_TIME_CLOCK) -> BenchFile:
-    """Return the `[devices]` of a lab with these endpoints; `clock` sets their timeouts."""
-    tubes = {box["tube"]: _box(box) for box in endpoints["netft"]}
+    """Return the tables `[devices]` of a lab with these endpoints; `clock` sets the timeouts of the drivers."""
+    at, boxes = config.sensors.at, {box["tube"]: _box(box) for box in endpoints["netft"]}
+    sensors = boxes if at == "robot" else {"tubes": boxes}
     tables: dict[str, dict[str, Any]] = {
         "stages": dict(STAGES[config.stages].table(endpoints[config.stages], clock)),
         "tracker": {
@@ -49,7 +50,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
             # The generator is upside down, as in `GENERATOR_POSE`: half a turn about x.
             "mount": {"position": GENERATOR_POSE.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
         },
-        "sensors": {"driver": "netft", "tubes": tubes, "stale_after": clock.patience},
+        "sensors": {"driver": "netft", "at": at, **sensors, "stale_after": clock.patience},
     }
     if config.target is not None:
         tables["tracker"]["target"] = TARGET_SERIAL
@@ -85,15 +86,15 @@ class LabServer:
     ) -> None:
         """Create the endpoints, and the bench with the joints at `positions` (n,).
 
-        `pty`: terminals instead of TCP. `netft_port`: UDP port of the first box, the others follow; 0: any.
-        `homed`: the stages are homed. `folder`: for symbolic links to the terminals, which stay valid when a terminal
-        changes. `clock`: time of the devices. `shape`: give the true shape to simulated cameras.
+        `pty`: pseudo-terminals instead of TCP. `netft_port`: UDP port of the first force sensor, before those of the
+        others; 0: any. `homed`: whether the stages are homed. `folder`: folder for links to the terminals, which stay
+        valid when a terminal changes. `clock`: clock of the devices. `shape`: give the true shape to simulated cameras.
 
         Raises:
             AddressInUse: another program has a given port.
             PoseError, NoSolution: the plant (simulated real robot) has no equilibrium shape at `positions`.
         """
-        self.readable = Readable()  #: files with unread data, found once in each cycle
+        self.readable = Readable()  #: file descriptors with unread data, updated in each cycle
         with contextlib.ExitStack() as opened:
 
             def line(name: str) -> PtyDeviceEnd | TcpDeviceEnd:
@@ -103,7 +104,7 @@ class LabServer:
             for end in self._lines:
                 opened.callback(end.close)
             boxes: list[UdpDeviceEnd] = []
-            for number in range(len(robot.tubes)):
+            for number in range(len(robot.sensor_names)):
                 boxes.append(UdpDeviceEnd(HOST, netft_port + number if netft_port else 0, self.readable))
                 opened.callback(boxes[-1].close)
             self.lab = SimulatedBench(robot, config, seed, positions, Wires(*self._lines, tuple(boxes)), homed)
@@ -124,11 +125,11 @@ class LabServer:
             "aurora": self._lines[1].name,
             "netft": [
                 {
-                    "tube": tube.name,
+                    "tube": name,
                     "rdt": f"udp://{HOST}:{box.port}",
                     "page": f"http://{HOST}:{page.port}/netftapi2.xml",
                 }
-                for tube, box, page in zip(robot.tubes, boxes, self._pages, strict=True)
+                for name, box, page in zip(robot.sensor_names, boxes, self._pages, strict=True)
             ],
         }
 
@@ -143,9 +144,9 @@ class LabServer:
         self._opened.close()
 
     def run(self, stopped: Callable[[], bool], files: Iterable[int] = ()) -> None:
-        """Run the lab in the clock's time until `stopped` returns true; it is called in each cycle.
+        """Run the lab by its clock until `stopped`, which is called in each cycle, returns true.
 
-        `files`: further file descriptors for `readable`; their data end the wait for the next cycle, too.
+        `files`: further file descriptors for `readable`; data in them also end the wait for the next cycle.
 
         A robot that cannot follow its stages is reported on stderr.
         """
@@ -172,7 +173,7 @@ class LabServer:
 
 
 def be_punctual(fifo: bool) -> bool:
-    """Prepare the calling process for simulated devices on a busy computer; real devices have separate processors.
+    """Prepare the calling process so that its simulated devices reply in time on a busy computer, as real ones do.
 
     Args:
         fifo: request real-time scheduling.
@@ -204,7 +205,7 @@ def serve(lab: LabServer, load: Load, ready: Callable[[dict[str, Any]], None], f
 
 @contextlib.contextmanager
 def _signals() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list."""
+    """Provide a list to which each SIGINT and SIGTERM is added."""
     received: list[int] = []
     before = {
         number: signal.signal(number, lambda number, _: received.append(number))

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from core.compiled import compiled, copy
-from core.model.cosserat import ExactRod, Rod, path_rows, shoot, trace, world_path
+from core.control.sensors import fuse
+from core.model.cosserat import NO_LOADS, ExactRod, Rod, path_rows, shoot, trace, world_path
 from core.model.solution import pure_force
 from core.robot.robot import Array, Robot, tube_poses, unpack
 from station.devices.interfaces import GroundTruth
@@ -25,12 +26,18 @@ class PlantState(NamedTuple):
     wrenches: Array  #: (q, 6) wrench that each tube exerts on its base sensor, in the sensor's axes [N, N m]
 
 
+def on_sensors(robot: Robot, tubes_at: Array, wrenches: Array) -> Array:
+    """Return the wrenches (s, 6) on the force sensors for `wrenches` (q, 6) of the tubes at joints `tubes_at` (n,)."""
+    if robot.sensed == "robot":
+        return np.concatenate(fuse(wrenches, *robot.tube_poses(tubes_at)))[None]
+    return wrenches[robot.layout.carried]
+
+
 class TubeShape(NamedTuple):
     """True shape of the tubes, as a camera sees it; only simulated cameras may receive it."""
 
-    line: (
-        Array  #: (k, 7) centre line from the plate to the tip: arc length [m], position [m], unit tangent; world frame
-    )
+    #: (k, 7) centre line from the plate to the last tube end: arc length [m], position [m], unit tangent; world frame
+    line: Array
     ends: Array  #: (q,) arc length of each tube's distal end from the plate [m], innermost tube first
     force: Array  #: (3,) force on the tubes, world frame [N]
     contact: float  #: arc length at which the force acts [m]; inf: the tip
@@ -57,7 +64,7 @@ def true_robot(robot: Robot, config: PlantConfig, rng: np.random.Generator) -> R
         true = replace(tube, sections=sections, bending_stiffness=(1.0 + stiffness) * tube.bending_stiffness)
         if tube.torsional_stiffness is not None:
             true = replace(true, torsional_stiffness=(1.0 + stiffness) * tube.torsional_stiffness)
-        elif config.poisson_ratio is not None:
+        elif config.poisson_ratio != "described":
             true = replace(true, poisson_ratio=config.poisson_ratio)
         tubes.append(true)
     return replace(robot, tubes=tuple(tubes))
@@ -79,7 +86,7 @@ class Plant:
         memory.stiffness[:] = [tube.bending_stiffness / tube.stiffness_ratio for tube in self.robot.tubes]
         memory.tubes_at[:] = positions
         memory.poses[:] = self.robot.tube_poses(positions)
-        self._load: tuple[Array, float] = np.zeros(3), np.inf  # force and contact at the last tick
+        self._load: tuple[Array, float] = np.zeros(3), np.inf  # force [N] and its arc length [m]
         self._store(self._exact.solve(positions, np.zeros(6)))
 
     def shape(self) -> TubeShape:
@@ -88,8 +95,13 @@ class Plant:
         path = path_rows(self.robot, self._exact.step)
         force, contact = self._load
         unknowns = self._memory.unknowns[0]
-        trace(self.robot.layout, alpha, beta, pure_force(force), contact, unknowns, self._exact.step, path)
+        trace(self.robot.layout, alpha, beta, pure_force(force), contact, NO_LOADS, unknowns, self._exact.step, path)
         return TubeShape.of(self.robot, beta, path, force, contact)
+
+    @property
+    def tubes_at(self) -> Array:
+        """Joint positions (n,) of the tubes; they lag the stages within the play of the drives [rad or m]."""
+        return self._memory.tubes_at
 
     @property
     def rotation(self) -> Array:
@@ -101,7 +113,7 @@ class Plant:
         return self._packed.copy()
 
     def restore(self, memory: Array) -> None:
-        """Return to an earlier state from `memory`."""
+        """Restore an earlier state that the method `memory` has returned."""
         self._packed[:] = memory
 
     def advance(
@@ -114,17 +126,33 @@ class Plant:
         """Move the joints to `positions` (n,) with `force` (3,) [N] at arc length `contact` [m], inf for the tip.
 
         Raises:
-            NotFinite, NoSolution: the plant (simulated real robot) has no equilibrium shape there; it keeps the last.
+            NotFinite, NoSolution: the plant (simulated real robot) has no equilibrium shape there; its shape is kept.
         """
-        exact, packed = self._exact, self._packed
+        exact, packed, last = self._exact, self._packed, self._load
         self._load = force, contact
         if not _advance(self.robot.packed, packed, positions, force, contact, exact.step, exact.tolerance):
-            wrench = pure_force(force)
-            self._store(exact.solve_tubes(*self.robot.tube_poses(self._memory.tubes_at), wrench, None, contact))
+            poses = self.robot.tube_poses(self._memory.tubes_at)
+            rod = self._follow(np.stack(poses), force, contact, last)
+            self._store(rod or exact.solve_tubes(*poses, pure_force(force), None, contact))
             _base_wrenches(self.robot.packed, packed, force, contact)
         state = packed[self._tip :].copy()  # tip, wrenches and rotation
         truth = GroundTruth(state[:3], force, None, state[-7::3].copy())
         return PlantState(truth, state[3:-9].reshape(-1, 6))
+
+    def _follow(self, poses: Array, force: Array, contact: float, last: tuple[Array, float]) -> Rod | None:
+        """Return the shape at tube poses (2, q), followed from the last shape in shorter steps; None if it snaps."""
+        memory, exact = self._memory, self._exact
+        before = last[0] if last[1] == contact else np.zeros(3)
+        for parts in (4, 16, 64):
+            unknowns = memory.unknowns[0]
+            rod: Rod | None = Rod(memory.tip, memory.rotation, unknowns[2:], unknowns, memory.chord, 0)
+            for part in np.arange(1, parts + 1) / parts:
+                alpha, beta = memory.poses + part * (poses - memory.poses)
+                wrench = pure_force(before + part * (force - before))
+                rod = rod and exact.near(rod, alpha, beta, wrench, contact)
+            if rod is not None:
+                return rod
+        return None
 
     def _store(self, rod: Rod) -> None:
         """Store a solution as the start of the next tick."""
@@ -136,13 +164,13 @@ class Plant:
 class _PlantMemory(NamedTuple):
     """State of a plant between ticks: views of one packed array, as compiled code needs it."""
 
-    tubes_at: Array  #: (n,) joint positions of the tubes behind the play of their drives [rad or m]
+    tubes_at: Array  #: (n,) joint positions of the tubes; they lag the stages within the play of the drives [rad or m]
     play: Array  #: (n,) play of each joint's drive [rad or m]
     poses: Array  #: (2, q) rotations [rad] and proximal ends [m] of the tubes at the last tick
     friction: Array  #: (q, 2) axial force [N] and moment [N m] between a tube and the next outer one
     limit: Array  #: (2,) largest friction force [N] and moment [N m]
     stiffness: Array  #: (q,) torsional stiffness GJ of each tube [N m^2]
-    unknowns: Array  #: (2, q + 2) unknowns of the rod's boundary-value problem, now and at the tick before
+    unknowns: Array  #: (2, q + 2) unknowns of the rod's boundary-value problem, at this tick and the previous one
     chord: Array  #: (q + 2, q + 2) inverse derivative of the boundary conditions, from which Newton's method starts
     tip: Array  #: (3,) position of the tip, world frame [m]
     wrenches: Array  #: (q, 6) wrench on each base sensor [N, N m]
@@ -197,7 +225,7 @@ def _advance(
     for i in range(q + 2):
         guess[i] = 2.0 * memory.unknowns[0, i] - memory.unknowns[1, i]
     unknowns, chord, tip, rotation, _, residual = shoot(
-        layout, alpha, beta, wrench, contact, guess, memory.chord, step, tolerance
+        layout, alpha, beta, wrench, contact, np.empty((0, 4)), guess, memory.chord, step, tolerance
     )
     if not residual <= tolerance:
         return False
@@ -222,8 +250,8 @@ def _base_wrenches(robot: Array, packed: Array, load: Array, contact: float) -> 
 
     The guide belongs to the outermost tube's holder and takes all bending. An inner tube's sensor measures the torsion
     and friction of that tube; the innermost tube's sensor also measures the axial force of the load. All wrenches add
-    up to the tip load, so their split does not affect the sum. Between neighbouring tubes acts Coulomb friction with a
-    stick zone, with opposite signs on the two tubes.
+    up to the tip load, so their split does not affect the sum. Coulomb friction with a stick zone acts between
+    neighbouring tubes, with opposite signs on the two tubes.
     """
     layout = unpack(robot)
     q, n = layout.counts.shape[0], layout.joint_tube.shape[0]
@@ -239,7 +267,7 @@ def _base_wrenches(robot: Array, packed: Array, load: Array, contact: float) -> 
         for k in range(3):
             force[i] += layout.base[3 * k + i] * load[k]
             tip[i] += layout.base[3 * k + i] * (memory.tip[k] - layout.base[9 + k])
-    world[:] = 0.0  # at the plate's origin, axes of the plate
+    world[:] = 0.0  # wrenches about the plate's origin, in the plate's axes
     for i in range(q - 1):
         for k in range(2):
             slip = (now[1 - k, i + 1] - poses[1 - k, i + 1]) - (now[1 - k, i] - poses[1 - k, i])

@@ -1,8 +1,8 @@
 """The process of the live virtual lab, which runs independently of the controller, like a real bench.
 
-The lab's process outlives the control process, and for 10 s also the station process, so that the simulated stages
-still receive the stop commands of both. The lab's process receives the bytes on the simulated wires and, through a pipe
-from the station process, loads and faults.
+The lab's process continues after the end of the control process, and for 10 s after that of the station process, so
+that the simulated stages still receive their stop commands. It receives bytes on the simulated wires. Through a pipe it
+receives loads and faults from the station process.
 """
 
 import contextlib
@@ -35,14 +35,14 @@ class SetForce(NamedTuple):
     """Message of the station process to the lab: apply a load to the tip."""
 
     load: Load
-    start: float  #: time of the station's clock at the load's time 0 [s]
+    start: float  #: time of the station's clock at which the load starts [s]
 
 
 class InjectFaults(NamedTuple):
     """Message of the station process to the lab: replace all active and planned faults."""
 
     faults: tuple[LabFault, ...]
-    start: float  #: time of the station's clock at the faults' time 0 [s]
+    start: float  #: time of the station's clock from which the faults' times count [s]
 
 
 class LabBench(NamedTuple):
@@ -70,8 +70,8 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
     set_process_name("ctr-lab")
     ring = Ring(width, ring_name)
     try:
-        # Pseudo-terminals only on request: a kernel thread of normal priority transfers their bytes, and on a busy
-        # computer the control loop would wait for its locks for milliseconds.
+        # Use pseudo-terminals only on request: a kernel thread of normal priority transfers their bytes. On a busy
+        # computer, the control loop would wait for milliseconds for a lock of this thread.
         pty, park = bench.terminals is not None, np.array(bench.park)
         lab = LabServer(
             bench.robot, bench.config, bench.seed, park, pty,
@@ -121,7 +121,7 @@ class _LabClient:
 
 
 class LabError(CtrError):
-    """A live virtual lab that does not start."""
+    """The live virtual lab did not start."""
 
 
 class LabHost:
@@ -139,7 +139,7 @@ class LabHost:
 
     @property
     def pid(self) -> int:
-        """Number of the lab's process."""
+        """Process ID of the lab."""
         return self._child.pid
 
     def devices(self) -> BenchFile:
@@ -157,11 +157,11 @@ class LabHost:
         return devices_at(endpoints, self._config, self._clock)
 
     def apply_load(self, load: Load, start: float) -> None:
-        """Apply a load to the tip; the load's time 0 is `start` of the station's clock [s]. An ended lab ignores it."""
+        """Apply a load that starts at `start` of the station's clock [s] to the tip. An ended lab ignores it."""
         self._child.send(SetForce(load, start))
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
-        """Replace all active and planned faults; their time 0 is `start` of the station's clock [s]."""
+        """Replace all active and planned faults; their times count from `start` of the station's clock [s]."""
         self._child.send(InjectFaults(tuple(faults), start))
 
     def close(self) -> None:

@@ -28,13 +28,15 @@ METAL = ((70, 74, 78), (150, 156, 160), (214, 220, 224))
 PLATE, LOAD, BALL = (58, 54, 50), (0, 159, 230), (60, 200, 40)
 #: Half of the plate's edge [m].
 PLATE_M = 0.022
-#: Number of pixels by which a noise picture is larger than a frame; each frame uses another part of it.
+#: Number of pixels by which a noise picture is larger than a frame; each frame uses a random part of it.
 NOISE_MARGIN = 64
 
 
 def centre_points(line: Array, arc: Array) -> Array:
-    """Return positions (k, 3) [m] on a centre line (m, 7) at arc lengths (k,) [m], cubic between its rows."""
+    """Return positions (k, 3) [m] on a centre line (m, 7) at arc lengths (k,) [m], by cubic interpolation."""
     rows = line[np.append(True, np.diff(line[:, 0]) > 1e-9)]
+    if len(rows) == 1:  # all tubes are flush with the plate
+        return np.repeat(rows[:, 1:4], len(arc), axis=0)
     before = np.clip(np.searchsorted(rows[:, 0], arc, side="right") - 1, 0, len(rows) - 2)
     a, b = rows[before], rows[before + 1]
     step = b[:, :1] - a[:, :1]
@@ -64,7 +66,7 @@ class Renderer:
         self._back = self._background(robot)
 
     def render(self, shape: TubeShape | None) -> Picture:
-        """Return the picture of a shape; None: of the bench without its tubes."""
+        """Return the picture of a shape, or of the bench without tubes if `shape` is None."""
         picture = self._back.copy()
         if shape is not None:
             for diameter, end in reversed(list(zip(self._diameters, shape.ends.tolist(), strict=True))):
@@ -72,7 +74,7 @@ class Renderer:
                     self._tube(picture, centre_points(shape.line, np.linspace(0.0, end, POINTS)), diameter)
             self._load(picture, shape)
             if self._ball > 0.0:
-                self._draw_ball(picture, shape.line[-1, 1:4])
+                self._draw_ball(picture, centre_points(shape.line, shape.ends[:1])[0])
         if self._noise is None:
             return picture
         row, column = self._random.integers(0, NOISE_MARGIN, 2)
@@ -112,7 +114,7 @@ class Renderer:
         size = float(np.linalg.norm(shape.force))
         if size < 1e-3:
             return
-        at = min(shape.contact, shape.line[-1, 0])
+        at = float(shape.ends[0] if np.isinf(shape.contact) else min(shape.contact, shape.ends.max()))
         tip = centre_points(shape.line, np.array([at]))[0]
         end = tip + LOAD_M_PER_N * shape.force
         pixels = self._view.project(np.stack((tip, end)))
@@ -141,7 +143,7 @@ class Renderer:
         part[:] = np.round((1.0 - cover) * part + cover * shade * np.array(BALL)).astype(np.uint8)
 
     def _pixels(self, points: Array, length: float) -> Array:
-        """Return a length [m] across the line of sight at points (n, 3) in pixels (n,)."""
+        """Convert a length [m] across the line of sight at points (n, 3) to pixels (n,)."""
         return self._view.matrix[0, 0] * length / self._view.in_camera(points)[:, 2]
 
 

@@ -1,7 +1,7 @@
 """The endpoint at which the virtual lab gives the true shape of its tubes to simulated cameras, and its client.
 
 A camera sends a datagram and receives the shape of the lab's last tick. The station's other processes, above all the
-controller, have no client: they know of the robot only what its devices measure.
+controller, have no client: they know only what the devices measure.
 """
 
 import contextlib
@@ -19,14 +19,14 @@ from station.lab.plant import TubeShape
 REQUEST = b"shape"
 #: Longest wait for an answer, in real time [s]. The lab polls its endpoints every millisecond.
 ANSWER_TIMEOUT_S = 0.05
-#: Numbers of an answer before the tubes' ends: time, number of tubes, contact, force (3).
+#: Number of values in an answer before the tubes' ends: time, number of tubes, contact, force (3).
 HEAD = 6
 
 
 class TimedShape(NamedTuple):
     """True shape with its time."""
 
-    time: float  #: by the station's clock [s]
+    time: float  #: time of the shape, by the station's clock [s]
     shape: TubeShape
 
 
@@ -67,7 +67,7 @@ def unpack(datagram: bytes) -> TimedShape | None:
     if len(datagram) % 8 or len(datagram) < 8 * HEAD:
         return None
     numbers: Array = np.frombuffer(datagram, "<f8").astype(np.float64)
-    if not 0.0 < numbers[1] <= len(numbers):  # also not a number
+    if not 0.0 < numbers[1] <= len(numbers):  # true for NaN, too
         return None
     tubes = int(numbers[1])
     rest = numbers[HEAD + tubes :]
@@ -78,7 +78,7 @@ def unpack(datagram: bytes) -> TimedShape | None:
 
 
 class ShapeClient:
-    """A simulated camera's end."""
+    """Client of a simulated camera, which requests the true shape."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -36,7 +36,7 @@ REPLY_DELAYS_S = {"INIT": 0.02, "PINIT": 0.05, "PENA": 0.02, "TSTART": 0.02, "TS
 USUAL_REPLY_DELAY_S = 0.0005
 TARGET_SERIAL = "3A5C1D01"  #: serial number of the coil on a moving target, if the lab has a target
 RESET_TIME_S = 0.5  #: time from a break to RESET (unconfirmed) [s]
-MAX_PENDING_COMMANDS = 64  #: largest number of waiting commands, and of waiting replies; further ones are lost
+MAX_PENDING_COMMANDS = 64  #: largest number of waiting commands, and of waiting replies; excess ones are lost
 
 
 @dataclass
@@ -63,7 +63,7 @@ class PendingReply(NamedTuple):
 
 
 class SimulatedAurora:
-    """A simulated Aurora with a five-degree-of-freedom coil at the tip and, optionally, another on a moving target."""
+    """A simulated Aurora with a five-degree-of-freedom coil at the tip and, if desired, a second one on a target."""
 
     def __init__(
         self,
@@ -74,14 +74,19 @@ class SimulatedAurora:
         mount: TrackerMounting = GENERATOR_POSE,
         lacks: tuple[str, ...] = (),
         target: str = "",
+        unprogrammed: bool = False,
+        dual: bool = False,
     ) -> None:
-        """`lacks` are commands that this firmware does not support; `target` is the serial number of a second coil."""
+        """`lacks` are commands that this firmware does not support; `target` is the serial number of a second coil.
+
+        With `unprogrammed`, a tool without a memory is plugged in, too. With `dual`, both coils are in one plug.
+        """
         self.faults = AuroraFaults()
         self.baud = POWER_UP_BAUD
         self.tracking = False
         self.executed: deque[str] = deque(maxlen=1000)  #: executed commands, without CRC
         self.refused = 0  #: commands answered with an error
-        self.handles = PortHandles(serial, target)
+        self.handles = PortHandles(serial, target, unprogrammed, dual)
         self._coil = Coil(config, rng, mount)
         self._line_noise = rng.spawn(1)[0]
         self._target = Coil(config, rng.spawn(1)[0], mount, self._coil.distortion) if target else None
@@ -95,7 +100,7 @@ class SimulatedAurora:
         self._received: deque[tuple[float, bytes]] = deque()
         self._busy_until = 0.0
         self._replies: deque[PendingReply] = deque()
-        self._rate_after: tuple[int, int] | None = None  # baud and bits after OKAY has been sent
+        self._rate_after: tuple[int, int] | None = None  # baud rate and bits per character after the reply OKAY
 
     # -- measurement of the coils -----------------------------------------------------------------
 
@@ -107,9 +112,9 @@ class SimulatedAurora:
         self, start: float, end: float, tip_start: Array, tip_end: Array, direction: Array | None = None,
         target: tuple[Array, Array] | None = None,
     ) -> None:  # fmt: skip
-        """Measure the true tip from `tip_start` to `tip_end`, world frame [m], with the coil's axis `direction`.
+        """Measure the coil while it moves from `tip_start` to `tip_end`, world frame [m], with its axis `direction`.
 
-        `target` are the first and the last position of the target's coil.
+        `target` has the first and the last position of the target's coil.
         """
         if self._target is not None and target is not None and not self.faults.freeze:
             self._target.advance(start, end, *target, None, self.faults.target_lost)
@@ -124,7 +129,7 @@ class SimulatedAurora:
         self.handles.unplug()
 
     def plug(self) -> None:
-        """Plug the tool in again; it gets another handle."""
+        """Plug the tool in again; it gets a new handle."""
         self.handles.plug()
 
     def restart(self, now: float) -> None:
@@ -234,14 +239,11 @@ class SimulatedAurora:
     def _answer(self, name: str, parameters: str, time: float) -> bytes:
         if name in self._lacks:
             raise AuroraRefusal(0x01)
-        if name in ("INIT", "TSTOP", "APIREV", "RESET") and parameters not in ("", "0"):
+        if name in ("INIT", "TSTOP") and parameters not in ("", "0"):
             raise AuroraRefusal(0x07)
         if name in ("BX", "TX"):
             return self._frame_reply(name, parameters, time)
-        if name == "RESET":
-            self.restart(time)
-            return b""
-        if name in ("PINIT", "PENA", "PDIS", "PHF"):
+        if name in ("PINIT", "PENA", "PHF"):
             self.handles.change(name, parameters, self.tracking)
             return framed("OKAY")
         if name == "COMM":
@@ -261,11 +263,9 @@ class SimulatedAurora:
             raise AuroraRefusal(0x10)
         if self.tracking == (name == "TSTART"):
             raise AuroraRefusal(0x0C)
-        if parameters not in ("", "40", "80"):
+        if parameters:
             raise AuroraRefusal(0x23)
         self.tracking = not self.tracking
-        if parameters == "80":
-            self._restart_count()
 
     def _restart_count(self) -> None:
         for coil in (self._coil, self._target):
@@ -274,30 +274,18 @@ class SimulatedAurora:
 
     def _text_reply(self, name: str, parameters: str) -> str:
         """Return the answer to a command whose reply is text."""
-        if name in ("VER", "BEEP", "SFLIST") and not (len(parameters) <= 2 and parameters.isdigit()):
-            raise AuroraRefusal(0x07)
         match name:
             case "VER":
+                if not (len(parameters) <= 2 and parameters.isdigit()):
+                    raise AuroraRefusal(0x07)
                 return (
                     "NDI Aurora SCU (simulated)\nNDI S/N: A0-00000\nCharacterization Date: 01/01/20\n"
                     f"Freeze Tag: {self._firmware}\nFreeze Date: 01/01/20\n(C) simulated unit\n"
                 )
-            case "APIREV":
-                return "D.001.007"
-            case "SFLIST":
-                return "00000001" if parameters == "00" else "1"
-            case "BEEP":
-                return "1"
-            case "GETINFO":
-                if not parameters.startswith("Features"):
-                    raise AuroraRefusal(0x23)
-                return f"{parameters}={self._firmware};1;0;0;;Firmware version"
             case "PHSR":
                 return self.handles.search(parameters)
             case "PHINF":
                 return self.handles.information(parameters)
-            case "PHRQ":
-                raise AuroraRefusal(0x32)
             case _:
                 raise AuroraRefusal(0x01)
 

@@ -1,6 +1,6 @@
 """The virtual lab at wire level: the plant with its load, and the simulated devices with their wires.
 
-The simulated stages move the true joints; the tracker and a force sensor for each tube measure the resulting shape. The
+The simulated stages move the true joints; the tracker and the force sensors measure the resulting shape. The
 station's drivers receive only bytes and datagrams from this bench.
 """
 
@@ -15,8 +15,7 @@ from core.robot.robot import Array, Robot
 from station.config.loads import Load
 from station.config.robots import RobotFile
 from station.devices.interfaces import GroundTruth
-from station.devices.zaber.setup import StageSetup
-from station.lab import simulated_aurora, simulated_zaber
+from station.lab import simulated_aurora, simulated_line
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig, TargetConfig
 from station.lab.faults import FaultScript, LabFault
@@ -24,7 +23,7 @@ from station.lab.frictional_plant import true_plant
 from station.lab.plant import TubeShape
 from station.lab.simulated_aurora import TARGET_SERIAL, SimulatedAurora
 from station.lab.simulated_netft import BoxSettings, SimulatedNetft
-from station.lab.simulated_stages import STAGES
+from station.lab.simulated_stages import STAGES, simulated_stages
 from station.lab.tip_contact import LoadedPlant
 from station.lab.unmodelled_errors import UnmodelledErrors, random_direction
 from station.lab.wires import Wires, memory_wires
@@ -65,7 +64,7 @@ class TargetWaves(NamedTuple):
 class MovingTarget:
     """Position of the target as a function of time; its lines and phases are drawn once.
 
-    The target breathes along one line and beats like a heart along another line. Rate and size of both oscillations
+    The target breathes along one line and beats like a heart along a second line. Rate and size of both oscillations
     drift, so that the station has to predict a target that is not exactly periodic.
     """
 
@@ -89,8 +88,8 @@ class MovingTarget:
         return self._middle + breathing.at(time) + heartbeat.at(time)
 
 
-#: Records per second of each force sensor, 7000/13. With 500 every record would wait equally long for the next poll,
-#: and its age would be unknown. With this rate the waits vary; the shortest one gives the time of the measurement.
+#: Records per second of each force sensor, 7000/13. At 500 per second, every record would wait equally long for the
+#: next poll, and its age would be unknown. At this rate the waits vary; the shortest gives the time of the measurement.
 FORCE_RECORD_RATE_HZ = 7000.0 / 13.0
 
 
@@ -117,16 +116,12 @@ class SimulatedBench:
         # Each part of the bench has a separate random stream, so that the parts do not change each other's draws.
         streams = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
         plant, tracker, sensors, unknown, moving = streams
-        memory, self.hosts = memory_wires(len(robot.tubes), config.stages)
-        self.config = config
+        memory, self.hosts = memory_wires(len(robot.sensor_names), config.stages)
+        self.config, self.robot = config, robot
         self._wires = wires or memory
-        #: One stage for each joint, numbered from the computer in the robot file's order.
-        self.setups = tuple(StageSetup.of(joint, number) for number, joint in enumerate(robot.joints, 1))
-        true_positions = [
-            (q - setup.home_at) / setup.joint.microstep
-            for q, setup in zip(positions.tolist(), self.setups, strict=True)
-        ]
-        self.chain = STAGES[config.stages].simulate(self.setups, true_positions, homed, seed)
+        self.setups, self.chain = simulated_stages(
+            robot, STAGES[config.stages], positions.tolist(), homed, seed, config.variant
+        )
         self._axes = [(s.home_at, s.joint.microstep, u) for s, u in zip(self.setups, self.chain.units, strict=True)]
         self.hidden = UnmodelledErrors(robot, config.hidden, unknown)
         self._off_tip = bool(self.hidden.coil.any())
@@ -135,7 +130,9 @@ class SimulatedBench:
         self.aurora = SimulatedAurora(self.hidden.tracker(config.tracker), tracker, mount=mount, target=second)
         self.boxes = tuple(
             SimulatedNetft(end, config.sensors, rng, BoxSettings(rate=FORCE_RECORD_RATE_HZ, serial=f"FT{number:05}"))
-            for number, (end, rng) in enumerate(zip(self._wires.netft, sensors.spawn(len(robot.tubes)), strict=True), 1)
+            for number, (end, rng) in enumerate(
+                zip(self._wires.netft, sensors.spawn(len(self._wires.netft)), strict=True), 1
+            )
         )
         self._cameras: tuple[SimulatedCamera, ...] = ()
         if config.cameras and wires is None:  # in the live lab, the cameras' processes render the pictures
@@ -150,14 +147,15 @@ class SimulatedBench:
         self._loaded = LoadedPlant(self._plant)
         self._reports_axis = config.tracker.direction_noise is not None
         self.truth: GroundTruth
-        self.truth, self._wrenches = self._plant.advance(joints, np.zeros(3))
+        self.truth, wrenches = self._plant.advance(joints, np.zeros(3))
+        self._wrenches = self.hidden.felt(wrenches, joints, self._plant.tubes_at)
         self._coil_position = self._coil()
         self._target = None if config.target is None else MovingTarget(config.target, self.truth.tip, moving)
         self._target_position = None if self._target is None else self._target.at(0.0)
 
     @property
     def positions(self) -> Array:
-        """Joint positions (n,) from the true positions of the units, without the hidden errors [rad or m]."""
+        """Joint positions (n,) from the true positions of the stages, without the hidden errors [rad or m]."""
         return np.array([home + step * unit.true_position for home, step, unit in self._axes])
 
     @property
@@ -166,7 +164,7 @@ class SimulatedBench:
         return self._plant.robot
 
     def true_joints(self, positions: Array) -> Array:
-        """Return the true joints (n,) when the stages count `positions` (n,), without play."""
+        """Return the true joint positions (n,), without play, for the stages' counts `positions` (n,)."""
         return self.hidden.joints(positions)
 
     def shape(self) -> TubeShape:
@@ -174,7 +172,7 @@ class SimulatedBench:
         return self._plant.shape()
 
     def apply_load(self, load: Load, start: float) -> None:
-        """Apply a load to the tip; its time counts from `start` [s]."""
+        """Apply a load to the tip; the load's time counts from `start` [s]."""
         self._loaded.apply(load, start)
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:
@@ -190,14 +188,14 @@ class SimulatedBench:
         if now >= self.faults.due:
             self.faults.apply(now)
         before = self._coil_position
-        simulated_zaber.pump(self._wires.stages, self.chain, now, written=self.time)
+        simulated_line.pump(self._wires.stages, self.chain, now, written=self.time)
         try:
             joints = self.hidden.joints(self.positions)
             self.truth, self._wrenches = self._loaded.advance(joints, now)
             self.trouble = ""
             self._coil_position = self._coil()
             if self.hidden.changes_wrenches:
-                self._wrenches = self.hidden.felt(self._wrenches, joints)
+                self._wrenches = self.hidden.felt(self._wrenches, joints, self._plant.tubes_at)
         except (PoseError, NoSolution, ContractError) as error:
             # A real bench would continue: the robot keeps its shape until the stages are back at a possible pose.
             self.trouble = str(error)

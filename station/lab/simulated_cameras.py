@@ -23,7 +23,7 @@ PROCESSING_S = 0.012
 
 
 class _Exposure(NamedTuple):
-    """A frame on its way."""
+    """A frame that the camera has exposed and not yet processed."""
 
     arrival: float  #: [s]
     number: int
@@ -31,7 +31,7 @@ class _Exposure(NamedTuple):
 
 
 class SimulatedCamera:
-    """One camera. `seed` determines noise, losses and the phase of the frames."""
+    """One simulated camera. `seed` determines noise, lost frames and the phase of the frames."""
 
     def __init__(self, name: str, camera: CameraFile, robot: Robot, seed: int) -> None:
         view = true_view_of(camera)

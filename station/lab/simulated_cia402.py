@@ -6,7 +6,8 @@ Each drive has an encoder, so it detects a stall. The bus carries one frame at a
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from station.devices.cia402.protocol import (
     BOOT_UP,
@@ -32,14 +33,13 @@ from station.devices.cia402.protocol import (
 )
 from station.devices.zaber.setup import StageSetup
 from station.lab.motor import Motor
-from station.lab.simulated_zaber import Faults, LineNoise
+from station.lab.simulated_line import SimulatedLine
 from station.lab.wires import BUFFER_BYTES
 
 FIRST_SERIAL_NUMBER = 3000  #: a simulated drive has this serial number plus its node number
-VENDOR_ID = 0x0BAD_CAFE  #: no vendor's number
+VENDOR_ID = 0x0BAD_CAFE  #: number that no real vendor has
 RESTART_TIME_S = 0.5  #: time after switching on until a drive sends its boot-up message [s]
 PROCESSING_S = 0.0002  #: time from a frame to the start of the drive's answer; assumed [s]
-STOPS = 2000.0  #: distance of the hard stops from both ends of the travel [counts]
 #: Statuswords of the states of the state machine.
 DISABLED, READY, ON, ENABLED, STOPPED, FAULT = 0x250, 0x231, 0x233, 0x237, 0x217, 0x218
 SPEED_ZERO = 1 << 12  #: bit of the statusword in the mode "profile velocity"
@@ -50,6 +50,7 @@ WRITABLE: dict[tuple[int, int], tuple[int, int]] = {
     (0x607D, 2): (2**31 - 1, 4), (0x607F, 0): (2**31 - 1, 4), (0x6081, 0): (100_000, 4), (0x6083, 0): (1_000_000, 4),
     (0x6084, 0): (1_000_000, 4), (0x6085, 0): (1_000_000, 4), (0x6098, 0): (17, 1), (0x6099, 1): (50_000, 4),
     (0x6099, 2): (50_000, 4), (0x609A, 0): (1_000_000, 4), (0x60FF, 0): (0, 4),
+    (0x607E, 0): (0, 1), (0x6086, 0): (0, 2),
     **{(index, 1): (0, 4) for index in (0x1400, 0x1800)},
     **{(index, 2): (255, 1) for index in (0x1400, 0x1800)},
     **{(index, number): (0, 4 if number else 1) for index in (0x1600, 0x1A00) for number in range(9)},
@@ -58,20 +59,43 @@ WRITABLE: dict[tuple[int, int], tuple[int, int]] = {
 NO_OBJECT, READ_ONLY, WRONG_SIZE, OUT_OF_RANGE = 0x06020000, 0x06010002, 0x06070010, 0x06090030
 
 
-class SimulatedDrive:
-    """One drive with its motor; the unit of velocities is counts per second."""
+class DriveVariant(NamedTuple):
+    """Differences of a drive from the usual one."""
 
-    def __init__(self, setup: StageSetup, true_position: float, homed: bool) -> None:
+    velocity_unit: float = 1.0  #: unit of velocities in the objects [counts/s]
+    acceleration_unit: float = 1.0  #: unit of accelerations in the objects [counts/s^2]
+    units: Mapping[tuple[int, int], int] = {}  #: constant values of the objects that define the units
+    kept: Mapping[tuple[int, int], int] = {}  #: values of objects that accept any value but keep this one
+    missing: frozenset[tuple[int, int]] = frozenset()  #: objects that the drive does not have
+    methods: frozenset[int] = frozenset()  #: homing methods; empty: all
+
+
+USUAL = DriveVariant()
+DRIVE_VARIANTS = {"usual": USUAL, "no_home_offset": DriveVariant(missing=frozenset(((0x607C, 0),)))}
+
+
+def epos4(counts_per_turn: float) -> DriveVariant:
+    """Return the variant of an EPOS4: velocities in 0.001 rpm, no home offset (source: EDS of its compact types)."""
+    return DriveVariant(
+        counts_per_turn / 60_000.0, counts_per_turn / 60.0,
+        {(0x60A8, 0): 0x00B50000, (0x60A9, 0): 0xFDB44700, (0x60AA, 0): 0x00C00300},
+        missing=frozenset(((0x607C, 0),)), methods=frozenset((-4, -3, -2, -1, 1, 2, 7, 11, 17, 18, 23, 27, 33, 34, 37)),
+    )  # fmt: skip
+
+
+class SimulatedDrive:
+    """One drive with its motor; the usual unit of velocities is counts per second."""
+
+    def __init__(self, setup: StageSetup, true_position: float, homed: bool, variant: DriveVariant = USUAL) -> None:
         """Create the drive of a stage at `true_position` from the home sensor's zero [counts].
 
         Unless `homed`, the drive has just been switched on.
         """
         linear = setup.joint.motion == "translation"
-        self.node, self.silent_until = setup.device, -math.inf
+        self.node, self.silent_until, self.variant = setup.device, -math.inf, variant
         self.serial = FIRST_SERIAL_NUMBER + setup.device
-        self._turn = None if linear else round(2.0 * math.pi / setup.joint.microstep)
-        lower, upper = (-STOPS, setup.maximum + STOPS) if linear else (-math.inf, math.inf)
-        self.motor = Motor(true_position, true_position if homed else 0.0, lower, upper)
+        travel, turn = setup.maximum if linear else None, round(2.0 * math.pi / setup.joint.microstep)
+        self.motor = Motor(true_position, true_position if homed else 0.0, travel, turn)
         self.homed = homed
         self._reset()
 
@@ -88,13 +112,15 @@ class SimulatedDrive:
 
     def switch_off_and_on(self) -> None:
         """Simulate a power cycle: the axis is at rest without a reference position."""
-        self.motor.halt()
-        self.motor.set_count(0.0)
+        self.motor.switch_off_and_on()
         self.homed, self.silent_until = False, self.motor.time + RESTART_TIME_S
         self._reset()
 
-    def advance(self, until: float) -> list[Frame]:
-        """Run the drive until the time `until` [s], and return the frames that it sends by itself."""
+    def advance(self, until: float) -> list[tuple[float, Frame]]:
+        """Run the drive until the time `until` [s], and return the frames that it sends by itself, with their times."""
+        return [(until, frame) for frame in self._advance(until)]
+
+    def _advance(self, until: float) -> list[Frame]:
         moving = self.motor.moving
         self.motor.advance(until)
         if until < self.silent_until:
@@ -126,9 +152,9 @@ class SimulatedDrive:
             return word | (0 if self._positioning else TARGET_REACHED)
         return word | (0 if moving else SPEED_ZERO)
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
+    def receive(self, command: Frame, now: float, slot: int) -> list[Frame]:  # noqa: ARG002
         """Process a frame at `now` [s], and return the answers."""
-        data = frame.data
+        frame, data = command, command.data
         if now < self.silent_until:
             return []
         if frame.identifier == NMT and len(data) == 2 and data[1] in (0, self.node):
@@ -159,7 +185,7 @@ class SimulatedDrive:
             size, answer = 4 - (command >> 2 & 3), 0x60
             abort = self._write(entry, int.from_bytes(data[4 : 4 + size], "little"), size)
         else:
-            return b"\x80" + data[1:4] + (0x05040001).to_bytes(4, "little")  # only expedited transfers
+            return b"\x80" + data[1:4] + (0x05040001).to_bytes(4, "little")  # abort: no segmented transfer
         if abort:
             return b"\x80" + data[1:4] + abort.to_bytes(4, "little")
         return (
@@ -182,13 +208,21 @@ class SimulatedDrive:
             (0x6064, 0): (round(self.motor.position), 4),
             (0x606C, 0): (round(self.motor.velocity), 4),
         }
+        if entry in self.variant.missing:
+            return None
+        if entry in self.variant.units:
+            return self.variant.units[entry], 4
         if entry in fixed:
             return fixed[entry]
         return (self.values[entry], WRITABLE[entry][1]) if entry in WRITABLE else None
 
     def _write(self, entry: tuple[int, int], value: int, size: int) -> int:
         """Write an object, and return an abort code; 0 if it was written."""
-        if entry not in WRITABLE:
+        if entry in self.variant.units:
+            return 0 if value == self.variant.units[entry] else READ_ONLY
+        if entry == (0x6098, 0) and self.variant.methods and signed(value, size) not in self.variant.methods:
+            return OUT_OF_RANGE
+        if entry not in WRITABLE or entry in self.variant.missing:
             return NO_OBJECT if self._read(entry) is None else READ_ONLY
         if size != WRITABLE[entry][1]:
             return WRONG_SIZE
@@ -197,7 +231,7 @@ class SimulatedDrive:
         if entry == (0x6060, 0) and value not in (PROFILE_POSITION, PROFILE_VELOCITY, HOMING_MODE):
             return OUT_OF_RANGE
         before = self.values[entry]
-        self.values[entry] = value
+        self.values[entry] = self.variant.kept.get(entry, value)
         if entry == (0x6040, 0):
             self._control(value, before)
         elif entry == (0x60FF, 0):
@@ -261,8 +295,8 @@ class SimulatedDrive:
         if self.state != ENABLED or self.values[0x6060, 0] != PROFILE_VELOCITY:
             return
         top = self.values[0x607F, 0]
-        velocity = min(max(self.values[0x60FF, 0], -top), top)
-        self.motor.acceleration = max(1.0, float(self.values[0x6083, 0]))
+        velocity = min(max(self.values[0x60FF, 0], -top), top) * self.variant.velocity_unit
+        self.motor.acceleration = self._acceleration(0x6083)
         lower, upper = (self.values[0x607D, 1], self.values[0x607D, 2]) if self.homed else (-math.inf, math.inf)
         if velocity or self.motor.moving:
             self.motor.run(velocity, lower, upper)
@@ -272,19 +306,26 @@ class SimulatedDrive:
         motor, mode = self.motor, self.values[0x6060, 0]
         if mode == HOMING_MODE:
             self._homing, self.homed = True, False
-            motor.acceleration = max(1.0, float(self.values[0x609A, 0]))
+            motor.acceleration = self._acceleration(0x609A)
             if self.values[0x6098, 0] in (35, 37):
                 motor.halt()
             else:
-                motor.move(motor.position - (motor.true_position - self._zero), float(self.values[0x6099, 1]))
+                motor.move(
+                    motor.position - (motor.true_position - motor.zero_behind()),
+                    self.values[0x6099, 1] * self.variant.velocity_unit,
+                )
         elif mode == PROFILE_POSITION:
             self._positioning = True
-            motor.acceleration = max(1.0, float(self.values[0x6083, 0]))
-            motor.move(float(self.values[0x607A, 0]), float(self.values[0x6081, 0]))
+            motor.acceleration = self._acceleration(0x6083)
+            motor.move(float(self.values[0x607A, 0]), self.values[0x6081, 0] * self.variant.velocity_unit)
+
+    def _acceleration(self, index: int) -> float:
+        """Return the acceleration in an object of the object dictionary [counts/s^2]."""
+        return max(1.0, self.values[index, 0] * self.variant.acceleration_unit)
 
     def _stop_quickly(self) -> None:
         self._homing = self._positioning = False
-        self.motor.acceleration = max(1.0, float(self.values[0x6085, 0]))
+        self.motor.acceleration = self._acceleration(0x6085)
         self.motor.stop()
         if self.state == ENABLED:
             self.state = STOPPED
@@ -300,60 +341,55 @@ class SimulatedDrive:
         self.error = code
         return Frame(EMERGENCY + self.node, code.to_bytes(2, "little") + b"\x01" + bytes(5))
 
-    @property
-    def _zero(self) -> float:
-        """True position of the zero whose home sensor a backward motion reaches first [counts]."""
-        return 0.0 if self._turn is None else math.floor(self.motor.true_position / self._turn) * self._turn
+
+class CanQueue:
+    """The line from the adapter to the host. It adds no delay, because the bus has delayed the frames."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[float, bytes]] = deque()  # lines with their times
+
+    def put(self, data: bytes, now: float) -> None:
+        """Send a line at `now` [s]; a line beyond the buffer's size is lost."""
+        if sum(len(line) for _, line in self._waiting) < BUFFER_BYTES:
+            self._waiting.append((now, data))
+
+    def take(self, until: float) -> bytes:
+        """Return the lines that have arrived until the time `until` [s]."""
+        data = b""
+        while self._waiting and self._waiting[0][0] <= until + 1e-9:
+            data += self._waiting.popleft()[1]
+        return data
 
 
-class SimulatedCanBus:
-    """Drives on one bus, and the adapter by which the host reaches them."""
+class CanWire:
+    """The bus, which carries one frame of the host or of a drive at a time, and the adapter of the host."""
 
-    def __init__(self, units: Sequence[SimulatedDrive], seed: int = 0) -> None:
-        self.units = tuple(units)
-        self._faults = Faults()
-        self.noise = LineNoise(seed)
+    processing = PROCESSING_S
+
+    def __init__(self) -> None:
+        self.out = CanQueue()
         self._part, self._open, self._free = b"", False, -math.inf
-        self._incoming: deque[tuple[float, Frame]] = deque()  # frames of the host with their ends
-        self._out: deque[tuple[float, bytes]] = deque()  # lines to the host with their times
 
-    @property
-    def faults(self) -> Faults:
-        """Active faults of the bus."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._faults = faults
-        for slot, unit in enumerate(self.units, 1):
-            unit.motor.stall(slot in faults.stalled)
-
-    def power_cycle(self, slot: int) -> None:
-        """Switch one drive off and on."""
-        self.units[slot - 1].switch_off_and_on()
-
-    def fail(self, slot: int, code: int) -> None:
-        """Let a drive stop with an error, which it reports."""
-        for frame in self.units[slot - 1].fail(code):
-            self._put(slot, frame, self.units[slot - 1].motor.time)
-
-    def receive(self, data: bytes, now: float) -> None:
-        """Receive the bytes that the host has written until `now` [s]."""
-        if self._faults.cut == 1:
-            return
-        *lines, rest = (self._part + self.noise.damage(data[:BUFFER_BYTES], self._faults)).split(b"\r")
+    def read(self, data: bytes, now: float) -> Iterator[tuple[float, Frame | bytes]]:
+        """Yield the frames that bytes of the host complete and the adapter's answers, each with its time [s]."""
+        *lines, rest = (self._part + data[:BUFFER_BYTES]).split(b"\r")
+        self._part = rest[-MAX_LINE_BYTES:]
         for line in lines:
             frame = decode(line)
             if frame is not None and self._open:
                 self._free = max(self._free, now) + frame.duration
-                self._incoming.append((self._free, frame))
-                self._send(b"z\r", self._free)
+                yield self._free, b"z\r"
+                yield self._free, frame
             else:
-                self._send(self._configure(line), now)
-        self._part = rest[-MAX_LINE_BYTES:]
+                yield now, self._configure(line)
+
+    def encode(self, axis: SimulatedDrive, answer: Frame, at: float) -> tuple[float, bytes]:  # noqa: ARG002
+        """Return the time at which a drive's frame ends on the bus, and the line that the adapter sends for it."""
+        self._free = max(self._free, at) + answer.duration
+        return self._free, encode(answer)
 
     def _configure(self, line: bytes) -> bytes:
-        """Execute a command of the adapter, and return its answer."""
+        """Execute a command to the adapter, and return its answer."""
         match line[:1]:
             case b"O" | b"L":
                 self._open = True
@@ -371,34 +407,7 @@ class SimulatedCanBus:
                 return b"\a"
         return b"\r"
 
-    def advance(self, now: float) -> bytes:
-        """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
-        while self._incoming and self._incoming[0][0] <= now + 1e-9:
-            time, frame = self._incoming.popleft()
-            self._run(time)
-            for slot, unit in enumerate(self.units, 1):
-                if self._faults.cut is not None and slot >= self._faults.cut:
-                    break
-                for answer in unit.receive(frame, time):
-                    self._put(slot, answer, time + PROCESSING_S)
-        self._run(now)
-        data = b""
-        while self._out and self._out[0][0] <= now + 1e-9:
-            data += self._out.popleft()[1]
-        return data if self._faults.cut != 1 else b""
 
-    def _run(self, until: float) -> None:
-        for slot, unit in enumerate(self.units, 1):
-            for frame in unit.advance(until):
-                self._put(slot, frame, until)
-
-    def _put(self, slot: int, frame: Frame, now: float) -> None:
-        """Send a frame of a drive, as soon as the bus is free."""
-        faults = self._faults
-        self._free = max(self._free, now) + frame.duration
-        if slot not in faults.mute and (faults.cut is None or slot < faults.cut):
-            self._send(encode(frame), self._free)
-
-    def _send(self, line: bytes, at: float) -> None:
-        if sum(len(line) for _, line in self._out) < BUFFER_BYTES:
-            self._out.append((at + self._faults.delay, self.noise.damage(line, self._faults)))
+def simulated_can_bus(units: Sequence[SimulatedDrive], seed: int = 0) -> SimulatedLine[SimulatedDrive]:
+    """Return drives on one bus, and the adapter that connects the host to the bus."""
+    return SimulatedLine(CanWire(), units, seed)

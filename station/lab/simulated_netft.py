@@ -6,7 +6,6 @@ stream.
 """
 
 import math
-import struct
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,12 +31,9 @@ from station.lab.wires import Address, DatagramDeviceEnd
 Octets = NDArray[np.uint8]
 #: Rate of the internal counter of a perfect box [1/s].
 COUNTER_RATE_HZ = 7000.0
-#: Bit of the command in a request that names the receiving host; an IPv4 address and a port follow at the end.
-REDIRECT_BIT = 0x8000
-LONG_REQUEST = struct.Struct(">HHI4sH")
 #: Number of records for which random noise is drawn at once, because single draws are slow.
 NOISE_BLOCK = 256
-#: Largest number of delayed datagrams; the oldest are lost.
+#: Largest number of datagrams in transit; beyond it, the oldest are lost.
 MAX_IN_FLIGHT = 65536
 
 
@@ -53,7 +49,6 @@ class BoxSettings:
     product: str = "Net F/T (simulated)"
     serial: str = "FT00001"
     address: str = "192.168.1.1"  #: IP address that the box's page shows
-    buffer: int = 10  #: records per datagram in buffered mode
     latency: float = LATENCY_S  #: time from the measurement to its record on the Ethernet [s]
     first: float = 0.002  #: time from a request to the first record, up to 0.005 for a real box [s]
     clock_error: float = 0.0  #: relative error of the counter's rate, up to +-0.005 for a real box
@@ -74,7 +69,7 @@ class NetftFaults:
     reorder: float = 0.0  #: the datagram is swapped with the next one
     flip: float = 0.0  #: one bit of the datagram is inverted, as if UDP's checksum had missed it
     mute: bool = False  #: the box neither receives nor sends, as if unplugged
-    saturate: bool = False  #: the sensor reads as overloaded
+    saturate: bool = False  #: the sensor reports an overload
     freeze: bool = False  #: the box repeats one sample
     status: int = 0  #: status bits that are set in each record
     delay: float = 0.0  #: delay of every datagram in addition to the latency [s]
@@ -125,7 +120,7 @@ class SimulatedNetft:
         self._first_count = self.settings.first_count
         self._next = 0  # index of the next record in the box's time grid
         self._in_flight: deque[tuple[float, bytes, Address]] = deque(maxlen=MAX_IN_FLIGHT)
-        self._swapped: tuple[float, bytes, Address] | None = None  # the datagram to swap
+        self._swapped: tuple[float, bytes, Address] | None = None  # datagram that is sent after the next one
         self._power_up()
 
     def advance(self, now: float, wrench: Array) -> None:
@@ -186,7 +181,7 @@ class SimulatedNetft:
             "netip": box.address,
             "comrdte": "Enabled",
             "comrdtrate": str(round(COUNTER_RATE_HZ / box.divisor)),
-            "comrdtbsiz": str(box.buffer),
+            "comrdtbsiz": "10",
         }
         body = "".join(f"<{name}>{text}</{name}>\n" for name, text in elements.items())
         return f'<?xml version="1.0"?>\n<netft>\n{body}</netft>\n'.encode()
@@ -197,37 +192,25 @@ class SimulatedNetft:
         self._stream_start = 0.0
         self._left = 0  # number of records still to send; 0: send until stopped
         self._sequence = 0
-        self._batch = 1
-        self._buffered = b""
         self._record: bytes | None = None  # the newest record
 
     def _handle_request(self, datagram: bytes, sender: Address) -> None:
-        """Process a request; other datagrams are ignored, as the box does."""
-        if len(datagram) < REQUEST.size:
+        """Process a request; ignore a datagram that is no request, as the box does."""
+        if len(datagram) != REQUEST.size:
             return
-        header, command, samples = REQUEST.unpack_from(datagram)
-        if command & REDIRECT_BIT:
-            if len(datagram) != LONG_REQUEST.size:
-                return
-            address, port = datagram[8:12], int.from_bytes(datagram[12:14], "big")
-            sender, command = (".".join(map(str, address)), port), command & ~REDIRECT_BIT
-        elif len(datagram) != REQUEST.size:
-            return
+        header, command, samples = REQUEST.unpack(datagram)
         if header != HEADER:
             return
-        if command in (RdtCommand.STREAM, RdtCommand.STREAM_BUFFERED):
-            self._in_flight.clear()  # a real box receives the request before it would send these records
+        if command == RdtCommand.STREAM:
+            self._in_flight.clear()  # a real box would receive the request before it sends these records
             self._client, self._stream_start, self._left = sender, self._now + self.settings.first, samples
-            self._sequence, self._buffered = 0, b""
-            self._batch = self.settings.buffer if command == RdtCommand.STREAM_BUFFERED else 1
+            self._sequence = 0
         elif command == RdtCommand.STOP:
             self._in_flight.clear()
-            self._client, self._buffered = None, b""
+            self._client = None
         elif command == RdtCommand.BIAS:
             counts = RECORD.unpack(self._read(0, self._now, self._true, self._true, 1.0))[3:]
             self._axes[5] += np.array(counts) / self._axes[6]
-        elif command == RdtCommand.RESET_LATCH:
-            self.faults.status &= ~(1 << 16)
 
     def _read(self, sequence: int, time: float, before: Array, after: Array, part: float) -> bytes:
         """Return the record of the wrench that is interpolated between `before` and `after` (6,) with weight `part`."""
@@ -249,20 +232,14 @@ class SimulatedNetft:
             self._record = self._read(sequence, time, before, after, part)
         else:
             self._record = sequence.to_bytes(4, "big") + self._record[4:]
-        if self._batch == 1:
-            self._send(time, self._record)
-        else:
-            self._buffered += self._record
-            if self._left == 1 or len(self._buffered) >= self._batch * RECORD.size:
-                self._send(time, self._buffered)
-                self._buffered = b""
+        self._send(time, self._record)
         if self._left == 1:
             self._client = None
         if self._left:
             self._left -= 1
 
     def _send(self, time: float, datagram: bytes) -> None:
-        """Send a datagram with the transmission faults."""
+        """Send a datagram, to which the transmission faults are applied."""
         faults, chance = self.faults, self._chance
         if self._client is None or (faults.drop and chance.random() < faults.drop):
             return
@@ -284,7 +261,7 @@ class SimulatedNetft:
 
 
 def gain_errors(bound: float, box: BoxSettings, rng: np.random.Generator) -> Array:
-    """Return errors of gain and cross-talk (6, 6), within +-`bound` as fractions of the axes' ranges."""
+    """Return random errors of gain and cross-talk (6, 6); relative to the axes' ranges, they are within +-`bound`."""
     ranges = np.repeat([box.force_range, box.torque_range], 3)
     return bound * rng.uniform(-1.0, 1.0, (6, 6)) * ranges[:, None] / ranges
 

@@ -6,8 +6,8 @@ Source: the manufacturer's ASCII Protocol Manual for firmware 7.
 """
 
 import math
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from station.devices.zaber.setup import StageSetup
 from station.devices.zaber_ascii.protocol import (
@@ -20,13 +20,12 @@ from station.devices.zaber_ascii.protocol import (
     checksum,
 )
 from station.lab.motor import Motor
-from station.lab.simulated_zaber import Faults, LineNoise, PacedLine, free_buffer
+from station.lab.simulated_line import PacedLine, SimulatedLine, free_buffer
 
 FIRST_SERIAL_NUMBER = 2000  #: a simulated device has this serial number plus its address
 ROTARY_ID, LINEAR_ID = 50952, 50105  #: device IDs of the simulated devices
 RESTART_TIME_S = 0.5  #: time after switching on in which a device ignores commands [s]
 PROCESSING_S = 0.0005  #: time from the end of a command to the start of its reply; assumed [s]
-STOPS = 2000.0  #: distance of the hard stops from both ends of the travel [microsteps]
 #: Ranges of the settings that a command may write.
 WRITABLE = {
     "accel": (0, 32767),
@@ -37,7 +36,19 @@ WRITABLE = {
     "limit.max": (-1_000_000_000, 1_000_000_000),
     "limit.min": (-1_000_000_000, 1_000_000_000),
     "maxspeed": (1, 16384 * 64),
+    "motion.accelonly": (0, 32767),
+    "motion.decelonly": (0, 32767),
+    "motion.accel.ramptime": (0, 10_000),
 }
+
+
+class AsciiCommand(NamedTuple):
+    """A command of the host."""
+
+    device: int  #: address of the device; 0: all
+    axis: int  #: number of the axis; 0: all
+    identity: str  #: message ID; empty: no ID; `--`: the device shall not answer
+    text: str
 
 
 class AsciiUnit:
@@ -50,9 +61,8 @@ class AsciiUnit:
         """
         linear = setup.joint.motion == "translation"
         self.number, self.deaf_until = setup.device, -math.inf
-        self._turn = None if linear else round(2.0 * math.pi / setup.joint.microstep)
-        lower, upper = (-STOPS, setup.maximum + STOPS) if linear else (-math.inf, math.inf)
-        self.motor = Motor(true_position, true_position if homed else 0.0, lower, upper)
+        travel, turn = setup.maximum if linear else None, round(2.0 * math.pi / setup.joint.microstep)
+        self.motor = Motor(true_position, true_position if homed else 0.0, travel, turn)
         self.flags = set[str]() if homed else {"WR"}
         self.settings: dict[str, int] = {
             "accel": 206,
@@ -63,6 +73,9 @@ class AsciiUnit:
             "limit.max": setup.maximum,
             "limit.min": 0,
             "maxspeed": 153_600,
+            "motion.accelonly": 206,
+            "motion.decelonly": 206,
+            "motion.accel.ramptime": 0,
             "resolution": 64,
         }
         self._identity = {
@@ -73,7 +86,7 @@ class AsciiUnit:
             "peripheralid": "0",
         }
         self._homing = False
-        self.motor.acceleration = self.settings["accel"] / ACCELERATION_FACTOR
+        self._ramp("motion.accelonly")
 
     @property
     def true_position(self) -> float:
@@ -87,12 +100,11 @@ class AsciiUnit:
 
     def switch_off_and_on(self) -> None:
         """Simulate a power cycle: the axis is at rest without a reference position."""
-        self.motor.halt()
-        self.motor.set_count(0.0)
+        self.motor.switch_off_and_on()
         self.flags, self._homing, self.deaf_until = {"WR"}, False, self.motor.time + RESTART_TIME_S
 
-    def advance(self, until: float) -> list[str]:
-        """Run the motor until the time `until` [s], and return alerts without address."""
+    def advance(self, until: float) -> list[tuple[float, str]]:
+        """Run the motor until the time `until` [s], and return alerts with their times."""
         was_moving, flag = self.motor.moving, self.flag
         self.motor.advance(until)
         if was_moving and self.motor.stalled:  # the encoder has detected that the stage does not follow
@@ -105,12 +117,23 @@ class AsciiUnit:
             self.flags -= {"WR", "WH"}
         ended = was_moving and not self.motor.moving
         if self.settings["comm.alert"] and (ended or flag != self.flag):
-            return [f"1 {self.status} {self.flag}"]
+            return [(until, f"!{self.number:02} 1 {self.status} {self.flag}")]
         return []
+
+    def receive(self, command: AsciiCommand, now: float, slot: int) -> list[str]:  # noqa: ARG002
+        """Execute a command to this device that arrives at `now` [s], and return the reply."""
+        device, axis, identity, text = command
+        if device not in (0, self.number) or now < self.deaf_until:
+            return []
+        accepted, data = self.execute(text) if axis in (0, 1) else (False, "BADAXIS")
+        if identity == "--":
+            return []
+        named = f" {int(identity):02}" if identity else ""
+        return [f"@{self.number:02} {axis}{named} {'OK' if accepted else 'RJ'} {self.status} {self.flag} {data}"]
 
     @property
     def status(self) -> str:
-        """Status of the axis as replies carry it."""
+        """Status of the axis in replies."""
         return "BUSY" if self.motor.moving else "IDLE"
 
     def execute(self, text: str) -> tuple[bool, str]:
@@ -140,6 +163,7 @@ class AsciiUnit:
                 return True, "0"
             case ["stop"] | ["estop"]:
                 self._homing = False
+                self._ramp("motion.decelonly")
                 self.motor.stop()
                 return True, "0"
             case ["home"] | ["move", _, _]:
@@ -152,11 +176,15 @@ class AsciiUnit:
             return False, "BADDATA"
         self.settings[name] = int(value)
         if name == "accel":
-            self.motor.acceleration = (int(value) or WRITABLE["accel"][1]) / ACCELERATION_FACTOR
+            self.settings["motion.accelonly"] = self.settings["motion.decelonly"] = int(value)
         return True, "0"
+
+    def _ramp(self, name: str) -> None:
+        self.motor.acceleration = (self.settings[name] or WRITABLE[name][1]) / ACCELERATION_FACTOR
 
     def _move(self, words: Sequence[str]) -> tuple[bool, str]:
         motor, settings = self.motor, self.settings
+        self._ramp("motion.accelonly")
         lower, upper = settings["limit.min"], settings["limit.max"]
         if "FO" in self.flags:
             return False, "DRIVERDISABLED"
@@ -164,7 +192,8 @@ class AsciiUnit:
             case ["home"]:
                 self.flags.discard("FS")
                 self._homing = True
-                motor.move(motor.position - (motor.true_position - self._zero), self._approach_speed)
+                speed = settings["limit.approach.maxspeed"] / SPEED_FACTOR
+                motor.move(motor.position - (motor.true_position - motor.zero_behind()), speed)
                 return True, "0"
             case ["move", "vel", value] if _is_integer(value) and abs(int(value)) <= 16384 * settings["resolution"]:
                 motor.run(int(value) / SPEED_FACTOR, lower, upper)
@@ -181,105 +210,51 @@ class AsciiUnit:
         self.flags.discard("FS")
         return True, "0"
 
-    @property
-    def _approach_speed(self) -> float:
-        return self.settings["limit.approach.maxspeed"] / SPEED_FACTOR
 
-    @property
-    def _zero(self) -> float:
-        """True position of the zero whose home sensor a backward motion reaches first [microsteps]."""
-        return 0.0 if self._turn is None else math.floor(self.motor.true_position / self._turn) * self._turn
+class AsciiWire:
+    """The line of Zaber ASCII devices: lines of text with an optional checksum."""
 
+    processing = PROCESSING_S
 
-class SimulatedAsciiChain:
-    """Devices on one line, the nearest to the computer first."""
-
-    def __init__(self, units: Sequence[AsciiUnit], seed: int = 0) -> None:
-        self.units = tuple(units)
-        self.time = 0.0
-        self._faults = Faults()
-        self.noise = LineNoise(seed)
-        self._incoming: deque[tuple[float, bytes]] = deque()  # complete lines with the arrival of their last byte
+    def __init__(self) -> None:
+        self.out = PacedLine(BYTE_TIME_S)
         self._part, self._free = b"", -math.inf
-        self._out = PacedLine(BYTE_TIME_S)
 
-    @property
-    def faults(self) -> Faults:
-        """Active faults of the chain."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: Faults) -> None:
-        self._faults = faults
-        for slot, unit in enumerate(self.units, 1):
-            unit.motor.stall(slot in faults.stalled)
-
-    def power_cycle(self, slot: int) -> None:
-        """Switch one device off and on."""
-        self.units[slot - 1].switch_off_and_on()
-
-    def receive(self, data: bytes, now: float) -> None:
-        """Receive the bytes that the host has written until `now` [s]; bytes beyond the host's buffer are lost."""
-        if self._faults.cut == 1:
-            return
+    def read(self, data: bytes, now: float) -> Iterator[tuple[float, AsciiCommand]]:
+        """Return the commands that bytes of the host complete, with the arrival time of their last byte."""
         time = max(self._free, now)
-        data = self.noise.damage(data, self._faults)[: free_buffer(time - now, BYTE_TIME_S)]
+        data = data[: free_buffer(time - now, BYTE_TIME_S)]
         self._free = time + len(data) * BYTE_TIME_S
         *lines, rest = (self._part + data).replace(b"\r", b"\n").split(b"\n")
         sent = time - len(self._part) * BYTE_TIME_S
+        self._part = rest[-MAX_LINE_BYTES:]
         for line in lines:
             sent += (len(line) + 1) * BYTE_TIME_S
-            self._incoming.append((sent, line))
-        self._part = rest[-MAX_LINE_BYTES:]
+            start = line.rfind(b"/")
+            body, colon, check = line[start + 1 :].partition(b":")
+            if start >= 0 and (not colon or check.strip() == b"%02X" % checksum(body)):
+                yield sent, _command(body.decode("ascii", "replace").split())
 
-    def advance(self, now: float) -> bytes:
-        """Advance the simulation, and return the bytes that reach the host until `now` [s]."""
-        while self._incoming and self._incoming[0][0] <= now + 1e-9:
-            time, line = self._incoming.popleft()
-            self._run(time)
-            self._deliver(line, time)
-        self._run(now)
-        data = self._out.take(now)
-        return data if self._faults.cut != 1 else b""
-
-    def _run(self, until: float) -> None:
-        for slot, unit in enumerate(self.units, 1):
-            for alert in unit.advance(until):
-                self._send(slot, f"!{unit.number:02} {alert}", until)
-        self.time = until
-
-    def _deliver(self, line: bytes, now: float) -> None:
-        start = line.rfind(b"/")
-        body, colon, sent = line[start + 1 :].partition(b":")
-        if start < 0 or (colon and sent.strip() != b"%02X" % checksum(body)):
-            return
-        words = body.decode("ascii", "replace").split()
-        # Up to three numbers precede the command: device, axis, message ID.
-        numbers: list[str] = []
-        while words and len(numbers) < 3 and (words[0].isdecimal() or words[0] == "--"):
-            numbers.append(words.pop(0))
-        device = int(numbers[0]) if numbers and numbers[0] != "--" else 0
-        axis = int(numbers[1]) if len(numbers) > 1 and numbers[1] != "--" else 0
-        identity = numbers[2] if len(numbers) > 2 else ""
-        for slot, unit in enumerate(self.units, 1):
-            if self._faults.cut is not None and slot >= self._faults.cut:
-                return
-            if device not in (0, unit.number) or now < unit.deaf_until:
-                continue
-            accepted, data = unit.execute(" ".join(words)) if axis in (0, 1) else (False, "BADAXIS")
-            if identity != "--":
-                named = f" {int(identity):02}" if identity else ""
-                answer = f"{'OK' if accepted else 'RJ'} {unit.status} {unit.flag} {data}"
-                self._send(slot, f"@{unit.number:02} {axis}{named} {answer}", now + PROCESSING_S)
-
-    def _send(self, slot: int, text: str, now: float) -> None:
-        faults = self._faults
-        if slot in faults.mute or (faults.cut is not None and slot >= faults.cut):
-            return
-        line = text.encode("ascii")
-        if self.units[slot - 1].settings["comm.checksum"]:
+    def encode(self, axis: AsciiUnit, answer: str, at: float) -> tuple[float, bytes]:
+        """Return the time and the bytes of a reply or an alert."""
+        line = answer.encode("ascii")
+        if axis.settings["comm.checksum"]:
             line += b":%02X" % checksum(line[1:])
-        self._out.put(self.noise.damage(line + b"\r\n", self._faults), now + faults.delay)
+        return at, line + b"\r\n"
+
+
+def _command(words: list[str]) -> AsciiCommand:
+    # Up to three numbers precede the command: device, axis, message ID.
+    numbers: list[str] = []
+    while words and len(numbers) < 3 and (words[0].isdecimal() or words[0] == "--"):
+        numbers.append(words.pop(0))
+    device, axis = (int(number) if number != "--" else 0 for number in [*numbers[:2], "0", "0"][:2])
+    return AsciiCommand(device, axis, numbers[2] if len(numbers) > 2 else "", " ".join(words))
+
+
+def simulated_ascii_chain(units: Sequence[AsciiUnit], seed: int = 0) -> SimulatedLine[AsciiUnit]:
+    """Return devices on one line, the nearest to the computer first."""
+    return SimulatedLine(AsciiWire(), units, seed)
 
 
 def _is_integer(text: str) -> bool:

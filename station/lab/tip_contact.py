@@ -1,13 +1,13 @@
 """Load on the plant, and the force of an obstacle that the plant's tip touches.
 
 The force of a wall or a sphere depends on the true tip, and the tip depends on the force. Each tick solves both
-together. With the obstacle's law f and the plant's tip x, Newton's steps are
+together. If f is the obstacle's force on a tip at x, Newton's steps are
 
     F <- F + (I + K C)^-1 (f(x(F)) - F),    K = -df/dx,  C = dx/dF,
 
-where C is the compliance of the fast model. A step that would pull the tip gives the force zero. The steps converge for
-any stiffness if the true compliance is between 0 and twice that of the model. The plant is reset before each step, so
-that its friction moves once in a tick.
+where C is the compliance of the fast model. A force that would pull the tip is set to zero. The steps converge for any
+stiffness if the true compliance is between 0 and twice that of the model. The plant is reset before each step, so that
+its friction changes only once in a tick.
 """
 
 import math
@@ -17,7 +17,7 @@ import numpy as np
 
 from core.errors import CtrError
 from core.model.solution import pure_force
-from core.model.statics import Solution, Statics, suitable_integrator
+from core.model.statics import Solution, Statics
 from core.robot.robot import Array
 from station.config.loads import MAX_FORCE_N, Load, NoLoad, Obstacle, force_of
 from station.lab.frictional_plant import FrictionalPlant
@@ -25,7 +25,7 @@ from station.lab.plant import Plant, PlantState
 
 #: Residual of the contact force at which a tick's solution is accepted [N], and largest number of Newton's steps.
 TOLERANCE_N, MAX_ROUNDS = 1e-5, 12
-#: Error of the plant's tip [m]; times the obstacle's stiffness, it is a residual that no step can remove.
+#: Error of the plant's tip [m]. Its product with the obstacle's stiffness is a residual that no step can remove.
 PLANT_ERROR_M = 2e-8
 #: Interval between two computations of the compliance [s]; it changes with the pose by less than 1 % in this time.
 COMPLIANCE_INTERVAL_S = 0.02
@@ -40,7 +40,7 @@ class LoadedPlant:
         self.apply(NoLoad(), 0.0)
 
     def apply(self, load: Load, start: float) -> None:
-        """Apply a load; its time counts from `start` [s]."""
+        """Apply a load; the load's time counts from `start` [s]."""
         self._load, self._start = load, start
         self._acts_at = load.contact  # arc length at which the force acts [m]; inf for the tip
         self._contact = TipContact(self._plant, load) if isinstance(load, Obstacle) else None
@@ -49,8 +49,8 @@ class LoadedPlant:
         """Move the joints to `joints` (n,) and return the state of the plant under its load at `now` [s].
 
         Raises:
-            NotFinite, NoSolution: the plant has no equilibrium shape there; it keeps the last.
-            ContractError: a custom load raised, or returned something other than three finite numbers.
+            NotFinite, NoSolution: the plant has no equilibrium shape there; it keeps its last shape.
+            ContractError: a custom load raised an exception, or did not return three finite numbers.
         """
         if self._contact is not None:
             return self._contact.advance(joints, now - self._start, now)
@@ -58,11 +58,11 @@ class LoadedPlant:
 
 
 class TipContact:
-    """Contact of the tip of a plant with an obstacle, whose position counts from the tip at the load's start."""
+    """Contact of a plant's tip with an obstacle, whose position is relative to the tip at the load's start."""
 
     def __init__(self, plant: Plant | FrictionalPlant, obstacle: Obstacle) -> None:
         self._plant, self._obstacle = plant, obstacle
-        self._model = Statics(plant.robot, integrator=suitable_integrator(plant.robot))
+        self._model = Statics(plant.robot)
         self._near: Solution | None = None
         self._compliance = np.zeros((3, 3))
         self._compliance_at = -math.inf  # time of the last computation of the compliance [s]
@@ -77,11 +77,11 @@ class TipContact:
 
         Args:
             joints: positions of the joints [rad or m].
-            time: time since the load's start [s]; before it there is no contact.
+            time: time since the load's start [s]; if it is negative, there is no contact.
             now: time [s].
 
         Raises:
-            NotFinite, NoSolution: the plant has no equilibrium shape there; it keeps the last.
+            NotFinite, NoSolution: the plant has no equilibrium shape there; it keeps its last shape.
         """
         if time < 0.0 or self._start is None:
             state = self._plant.advance(joints, np.zeros(3), now=now)
@@ -100,7 +100,7 @@ class TipContact:
             self._update_compliance(joints, force, now)
             step = np.linalg.solve(np.eye(3) + push.slope @ self._compliance, push.force - force)
             force = _pushing(force + step, push.normal)
-        else:  # the force is at `MAX_FORCE_N`, or the tick ends with the force of the last step
+        else:  # not converged, for example at `MAX_FORCE_N`: use the force of the last step
             state = self._plant.advance(joints, force, now=now)
         self._accept(state.truth.tip - self._start, force, time)
         return state
@@ -117,7 +117,7 @@ class TipContact:
         self._compliance = self._near.compliance[:3, :3].copy()
 
     def _law(self, offset: Array, time: float, period: float) -> "_Push":
-        """Return the force on a tip at `offset` (3,) from its start; outside, the law continues as a pull."""
+        """Return the force on a tip at `offset` (3,) from its start; outside the obstacle, the force is a pull."""
         obstacle = self._obstacle
         depth, normal = obstacle.depth(offset, time)
         size = obstacle.stiffness * depth + obstacle.damping * (depth - max(self._depth, 0.0)) / period
@@ -151,7 +151,7 @@ class TipContact:
         elif self._stuck_at is None:
             self._stuck_at = offset
         else:
-            # Where the tip slides, the surface point follows, so that the pull stays at its largest value.
+            # If the tip slides, the surface point follows it, so that the friction stays at its largest value.
             rub = force - float(force @ normal) * normal
             if (spot := self._obstacle.spot(offset)) is not None:
                 rub = rub + 0.5 * self._depth**2 * spot.gradient
@@ -162,9 +162,9 @@ class _Push(NamedTuple):
     """Force of an obstacle on the tip."""
 
     force: Array  #: (3,) force [N]
-    slope: Array  #: (3, 3) K = -df/dx, by the position of the tip [N/m]
+    slope: Array  #: (3, 3) K = -df/dx, where x is the position of the tip [N/m]
     normal: Array  #: (3,) unit normal of the surface
-    touches: bool  #: False: the obstacle pulls in the law, so there is no contact
+    touches: bool  #: False: the force would be a pull, so there is no contact
 
 
 def _pushing(force: Array, normal: Array) -> Array:

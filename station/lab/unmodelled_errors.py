@@ -14,6 +14,7 @@ from core.robot.robot import Array, Base, Robot
 from station.config.robots import RobotFile
 from station.devices.aurora.tracker import TrackerMounting
 from station.lab.config import HiddenConfig, TrackerConfig
+from station.lab.plant import on_sensors
 
 #: Centre of mass of the parts that hang on a base sensor, in the tube's axes [m].
 SENSOR_CENTRE_OF_MASS_M = np.array([0.002, -0.001, 0.015])
@@ -47,11 +48,15 @@ class UnmodelledErrors:
         middle = np.array([0.5 * (joint.lower + joint.upper) for joint in robot.joints])
         self._shift = np.where(self._sign < 0.0, 2.0 * middle, 0.0) + self._zero
         self._changes_joints = bool(self._shift.any() or (self._sign < 0.0).any())
-        self._mounting = [rotation_from_vector(config.sensor_mounting * random_direction(rng)).T for _ in range(q)]
+        count = len(description.sensor_names)
+        self._mounting = [rotation_from_vector(config.sensor_mounting * random_direction(rng)).T for _ in range(count)]
         self._weight = config.sensor_weight
         self._tube_of = {joint.tube: k for k, joint in enumerate(joints) if joint.motion == "rotation"}
         #: Whether `felt` changes the wrenches.
-        self.changes_wrenches = not (config.sensor_mounting == 0.0 and config.sensor_weight == 0.0)
+        self.changes_wrenches = (
+            config.sensor_mounting > 0.0 or config.sensor_weight > 0.0 or description.sensed != "tubes"
+        )
+        self._description = description
         self._rest = np.array([tube.rotation for tube in description.tubes])
 
     def robot(self, robot: Robot) -> Robot:
@@ -64,7 +69,7 @@ class UnmodelledErrors:
         return replace(robot, base=Base(tuple(position.tolist()), _vector(rotation)))
 
     def joints(self, positions: Array) -> Array:
-        """Return the true joints (n,) when the stages count `positions` (n,)."""
+        """Return the true joint positions (n,) for the stages' counts `positions` (n,)."""
         return self._sign * positions + self._shift if self._changes_joints else positions
 
     def mount(self, mount: TrackerMounting) -> TrackerMounting:
@@ -75,15 +80,25 @@ class UnmodelledErrors:
         """Return the tracker's configuration with the unknown latency."""
         return config.model_copy(update={"latency": config.latency + self.late}) if self.late else config
 
-    def felt(self, wrenches: Array, joints: Array) -> Array:
-        """Return the wrenches that the misaligned sensors measure (q, 6) when the tubes exert `wrenches` (q, 6)."""
-        result = np.empty_like(wrenches)
+    def felt(self, wrenches: Array, joints: Array, tubes_at: Array) -> Array:
+        """Return the wrenches that the misaligned sensors measure (s, 6) when the tubes exert `wrenches` (q, 6).
+
+        Args:
+            wrenches: wrenches of the tubes, each in its tube's axes [N, N m].
+            joints: true joint positions (n,) without play; they give the directions of the weights.
+            tubes_at: true joint positions (n,) of the tubes, with the play of their drives.
+        """
+        loaded = np.empty_like(wrenches)
         for i, wrench in enumerate(wrenches):
             angle = joints[self._tube_of[i]] if i in self._tube_of else self._rest[i]
             weight = self._weight * np.array([math.cos(angle), -math.sin(angle), 0.0])  # gravity points along +x
-            result[i, :3] = self._mounting[i] @ (wrench[:3] + weight)
-            result[i, 3:] = self._mounting[i] @ (wrench[3:] + np.cross(SENSOR_CENTRE_OF_MASS_M, weight))
-        return result
+            loaded[i, :3] = wrench[:3] + weight
+            loaded[i, 3:] = wrench[3:] + np.cross(SENSOR_CENTRE_OF_MASS_M, weight)
+        carried = on_sensors(self._description, tubes_at, loaded)
+        return np.array([
+            np.concatenate((turn @ wrench[:3], turn @ wrench[3:]))
+            for turn, wrench in zip(self._mounting, carried, strict=True)
+        ])  # fmt: skip
 
 
 def random_direction(rng: np.random.Generator) -> Array:

@@ -1,7 +1,7 @@
 """Benches in virtual time: the plant with ideal devices, or simulated devices with the drivers of a real bench."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -10,9 +10,7 @@ import numpy as np
 
 from core.control.controller_settings import Controller
 from core.control.estimation import estimate
-from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, StreamedTip
-from core.control.step import Sample, start_controller, step
-from core.control.trajectories import JointMotion, Setpoint
+from core.control.rehearsal import rehearse
 from core.model.solution import at_rest
 from core.robot.robot import Array, Robot
 from station.config.controllers import PERIOD_S
@@ -23,7 +21,7 @@ from station.control.loop import ControlLoop
 from station.control.states import State
 from station.devices.ati.calibration import read_page
 from station.devices.ati.netft import NetftSensors
-from station.devices.aurora.dialogue import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings, Coil
 from station.devices.aurora.tracker import AuroraTracker, TrackerMounting
 from station.devices.cameras import CalibratedView, measuring
 from station.devices.interfaces import (
@@ -32,6 +30,7 @@ from station.devices.interfaces import (
     Devices,
     GroundTruth,
     JointReading,
+    Stages,
     TipReading,
     WrenchReading,
 )
@@ -40,16 +39,19 @@ from station.lab.aurora_coil import assumed_mounting
 from station.lab.config import LabConfig
 from station.lab.faults import LabFault
 from station.lab.frictional_plant import true_plant
+from station.lab.plant import on_sensors
 from station.lab.simulated_aurora import TARGET_SERIAL
 from station.lab.simulated_bench import SimulatedBench
-from station.lab.simulated_stages import STAGES
+from station.lab.simulated_line import pump
+from station.lab.simulated_stages import STAGES, simulated_stages
 from station.lab.tip_contact import LoadedPlant
+from station.lab.wires import HostPort
 
 
 class IdealLab:
     """The plant with its load and ideal devices, which have no wires."""
 
-    trouble = ""  #: always empty: the plant (simulated real robot) follows, or `advance` raises
+    trouble = ""  #: always empty: if the plant (simulated real robot) cannot follow its stages, `advance` raises
 
     def __init__(self, robot: RobotFile, config: LabConfig, seed: int, positions: Array) -> None:
         """Create the lab with the joints at `positions` (n,).
@@ -71,11 +73,11 @@ class IdealLab:
         return self._plant.robot
 
     def true_joints(self, positions: Array) -> Array:
-        """Return the true joints (n,) when the stages count `positions` (n,): they are equal in an ideal lab."""
+        """Return the true joint positions (n,) for the stages' counts `positions` (n,), which are equal here."""
         return positions
 
     def apply_load(self, load: Load, start: float) -> None:
-        """Apply a load to the tip; its time counts from `start` [s]."""
+        """Apply a load to the tip; the load's time counts from `start` [s]."""
         self._loaded.apply(load, start)
 
     def inject(self, faults: Sequence[LabFault], start: float) -> None:  # noqa: ARG002 - there are no wires
@@ -96,12 +98,13 @@ class IdealLab:
         self._stages.advance(now)
         truth, wrenches = self._loaded.advance(self._stages.positions, now)
         self._tracker.direction = truth.direction
-        self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, wrenches)
+        felt = on_sensors(self._plant.robot, self._plant.tubes_at, wrenches)
+        self._tracker.tip, self._sensors.reading = truth.tip, WrenchReading(now, felt)
         return truth
 
 
 class _Faultless:
-    """Base of devices that are always connected and never fail."""
+    """Base class of devices that are always connected and never fail."""
 
     condition = Condition.CONNECTED
     ready = True
@@ -112,7 +115,7 @@ class _Faultless:
     def home(self, now: float) -> None:
         """Nothing to do: ideal stages are always homed."""
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - never
+    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - it has no faults
         """Return None, because an ideal device has no faults."""
         return None
 
@@ -139,11 +142,11 @@ class IdealStages(_Faultless):
         """Return positions and velocities."""
         return JointReading(self.positions.copy(), self._velocity.copy())
 
-    def command(self, velocities: Array, now: float) -> None:  # noqa: ARG002 - at once
+    def command(self, velocities: Array, now: float) -> None:  # noqa: ARG002 - without delay
         """Set the velocities (n,)."""
         self._velocity = np.minimum(np.maximum(velocities, -self._speed), self._speed)
 
-    def stop(self, now: float) -> None:  # noqa: ARG002 - at once
+    def stop(self, now: float) -> None:  # noqa: ARG002 - without delay
         """Stop all joints."""
         self._velocity = np.zeros_like(self._velocity)
 
@@ -154,7 +157,7 @@ class IdealStages(_Faultless):
 
 
 class IdealTracker(_Faultless):
-    """Frames without noise and delay."""
+    """Tracker that reports the true tip without noise and delay."""
 
     def __init__(self, rate: float) -> None:
         self.tip = np.zeros(3)  #: true position [m]
@@ -162,7 +165,7 @@ class IdealTracker(_Faultless):
         self._rate, self._frame = rate, -1
 
     def poll(self, now: float) -> TipReading | None:
-        """Return the frame at `now`, if there is a new one."""
+        """Return the frame at `now`; None if there is no new frame."""
         frame = int(now * self._rate + 1e-6)
         if frame == self._frame:
             return None
@@ -212,14 +215,24 @@ def virtual_bench(
     return VirtualBench(lab, replace(devices, **dict.fromkeys(config.without)))
 
 
+def stages_alone(
+    robot: RobotFile, config: LabConfig, seed: int, positions: Sequence[float]
+) -> tuple[Stages, Callable[[float, float], None]]:
+    """Return the driver of a lab's stages without tubes, and a function that simulates them between two times [s]."""
+    kind = STAGES[config.stages]
+    _, simulated = simulated_stages(robot, kind, positions, True, seed, config.variant)
+    host = HostPort("stages")
+    return kind.on(host, robot), lambda since, until: pump(host.device, simulated, until, written=since)
+
+
 def drivers(
     lab: SimulatedBench, registration: TrackerMounting | None = None,
     views: Mapping[str, CalibratedView] = MappingProxyType({}),
 ) -> Devices:  # fmt: skip
-    """Return drivers at the host ends of the lab's wires in memory; see `virtual_bench`."""
+    """Return drivers that use the host ends of the lab's wires in memory; see `virtual_bench` for the arguments."""
     mounting = registration or assumed_mounting(lab.config)
     return Devices(
-        STAGES[lab.config.stages].driver(lab.setups, lab.hosts.stages),
+        STAGES[lab.config.stages].on(lab.hosts.stages, lab.robot),
         StereoTracker(lab.hosts.cameras, measuring(lab.config.cameras, views), mounting)
         if lab.config.cameras
         else _aurora(lab, mounting),
@@ -229,9 +242,8 @@ def drivers(
 
 def _aurora(lab: SimulatedBench, mounting: TrackerMounting) -> AuroraTracker:
     tracker = lab.config.tracker
-    target = "" if lab.config.target is None else TARGET_SERIAL
     settings = AuroraSettings(
-        target_serial=target,
+        target=None if lab.config.target is None else Coil(TARGET_SERIAL),
         frame_rate=tracker.rate,
         latency=tracker.latency,
         measures_axis=tracker.direction_noise is not None,
@@ -239,13 +251,16 @@ def _aurora(lab: SimulatedBench, mounting: TrackerMounting) -> AuroraTracker:
     return AuroraTracker(lab.hosts.aurora, settings, mounting)
 
 
-#: Largest number of ticks that a bench in memory needs to reach the state READY, and number of ticks after that.
+#: Largest number of ticks in which a bench in memory has to reach READY, and number of ticks to run in READY.
 WARMUP_TICKS, READY_TICKS = 1500, 50
+#: Number of ticks with ideal devices; the loop writes its first rows of telemetry in them.
+IDEAL_TICKS = 10
 
 
 def warm_up_control(
-    robot: RobotFile, config: LabConfig, seed: int, park: tuple[float, ...], controller: Controller
-) -> None:
+    robot: RobotFile, config: LabConfig, seed: int, park: tuple[float, ...], controller: Controller, *,
+    all_features: bool = True,
+) -> None:  # fmt: skip
     """Compile all code that a tick can call, by running the control loop on a simulated bench in memory.
 
     Otherwise a tick of the running station would wait for the compiler and be late. The estimation comes first: in a
@@ -257,22 +272,24 @@ def warm_up_control(
         seed: seed of everything random in the lab.
         park: joint positions at power-up [rad or m].
         controller: controller of the station.
+        all_features: whether motions may later choose other features than those of this controller.
     """
     joints, tubes = np.array(park), len(robot.tubes)
     rest, zero = at_rest(joints, math.inf, tubes), np.zeros(3)
     now = controller.estimator.start(rest, rest, zero, zero)
     before = (rest.numbers, rest.numbers, now.numbers)
     estimate(controller.estimator.settings, *before[:2], *before, zero, joints, zero, -1.0, now.numbers.copy())
-    still = Sample(joints, np.zeros_like(joints), np.zeros((tubes, 6)), zero, 0.0)
-    memory = start_controller(controller, still)
-    for order in (Setpoint(zero, zero), JointMotion(np.zeros_like(joints)), None):
-        memory = step(controller, memory, still, order).memory
-    for _ in range(2):  # with the tip's direction, which a calibration reads even if the direction is not controlled
-        memory = step(replace(controller, watches=True), memory, still, None).memory
-    StreamedTip(DEFAULT_MOTION_BOUNDS).advance(0.0, None, PERIOD_S)
-    # Compile the drivers' code, too: while a driver compiles at its first frame or record, its device would seem dead.
+    rehearse(controller, joints, all_features=all_features)
+    # The loop writes telemetry only if its stages are ready. Ideal stages are ready at once, wired ones perhaps never.
+    config = config.model_copy(update={"cameras": {}})
+    lab, devices = virtual_bench(robot, config.model_copy(update={"devices": "ideal"}), seed, joints)
+    loop = ControlLoop(controller, devices)
+    loop.connect(0.0)
+    for tick in range(IDEAL_TICKS):
+        loop.tick(tick * PERIOD_S, lab.advance(tick * PERIOD_S))
+    # Compile the drivers' code, too: a driver that compiles at its first frame or record would report a dead device.
     # A simulated camera would import OpenCV, which the control process does not need.
-    lab, devices = virtual_bench(robot, config.model_copy(update={"cameras": {}}), seed, joints)
+    lab, devices = virtual_bench(robot, config, seed, joints)
     loop = ControlLoop(controller, devices)
     loop.connect(0.0)
     ready = 0

@@ -30,7 +30,7 @@ class DeviceLine(Link, Plug, Protocol):
 
 
 class DatagramDeviceEnd(Protocol):
-    """The box's end of a network: it receives requests and sends records."""
+    """A simulated force-sensor box's end of a network: it receives requests and sends records."""
 
     def receive(self) -> list[tuple[bytes, Address]]:
         """Return the received datagrams with their senders."""
@@ -46,7 +46,7 @@ class DatagramDeviceEnd(Protocol):
 
 
 class HostPort:
-    """The host's end of a serial line in memory. After its cable was unplugged it fails until it is opened again."""
+    """The host's end of a serial line in memory. If its cable is unplugged, it fails until it is opened again."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -119,7 +119,7 @@ class SerialDeviceEnd:
         self.plugged = True
 
     def close(self) -> None:
-        """Pull the cable for good."""
+        """Pull the cable permanently."""
         self.unplug()
 
 
@@ -134,7 +134,7 @@ def _drain(buffer: bytearray) -> bytes:
 
 
 class MemoryDatagramEnd:
-    """A network in memory: the box at one end, any number of hosts at the other."""
+    """A network in memory: a force-sensor box at one end, any number of hosts at the other."""
 
     def __init__(self) -> None:
         self._requests: deque[tuple[bytes, Address]] = deque(maxlen=MAX_PENDING_DATAGRAMS)
@@ -165,7 +165,7 @@ class MemoryDatagramEnd:
 
 
 class MemoryDatagrams:
-    """A host's link to the box in memory."""
+    """A host's link to a force-sensor box in memory."""
 
     def __init__(
         self, name: str, address: Address, incoming: deque[bytes], outgoing: deque[tuple[bytes, Address]]
@@ -224,7 +224,7 @@ class Wires(NamedTuple):
 
     stages: DeviceLine
     aurora: DeviceLine
-    netft: tuple[DatagramDeviceEnd, ...]  #: ends of the force sensors, one for each tube
+    netft: tuple[DatagramDeviceEnd, ...]  #: ends of the force sensors
 
 
 class Hosts(NamedTuple):
@@ -236,9 +236,9 @@ class Hosts(NamedTuple):
     cameras: MemoryInbox
 
 
-def memory_wires(tubes: int, stages: str = "zaber") -> tuple[Wires, Hosts]:
+def memory_wires(sensors: int, stages: str = "zaber") -> tuple[Wires, Hosts]:
     """Return wires in memory, for virtual time; `stages` is the name of the stages' line."""
     line, aurora = HostPort(stages), HostPort("aurora")
-    ends = tuple(MemoryDatagramEnd() for _ in range(tubes))
+    ends = tuple(MemoryDatagramEnd() for _ in range(sensors))
     links = tuple(end.link(f"netft {number}") for number, end in enumerate(ends, 1))
     return Wires(line.device, aurora.device, ends), Hosts(line, aurora, links, MemoryInbox())

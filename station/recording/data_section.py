@@ -42,8 +42,8 @@ MESSAGE_HEADER_BYTES = 31
 LIBRARY = "ctr-station"
 #: Compression level of zstd: level -1 takes a third less time and gives 19 % more bytes, level 3 gives 2 % less.
 ZSTD_LEVEL = 1
-#: Groups of channels that devices measure. They are recorded in single precision without rounding, which keeps every
-#: count of a Net F/T up to 8 N (its count is 1 uN), and is the precision in which an Aurora sends its positions.
+#: Groups of channels that devices measure. They are recorded in single precision without rounding. It keeps every count
+#: (1 uN) of a Net F/T up to 8 N, and an Aurora sends its positions in this precision.
 MEASURED_GROUPS = frozenset({"joints", "wrench_raw", "tip_measured", "target_measured", "direction_measured"})
 #: Units of computed channels with the multiple to which a recording rounds their values. Each is a power of two, far
 #: below the resolution of the devices: an Aurora resolves 0.1 mm, a Nano43 resolves 4 mN and 50 uN m.
@@ -58,9 +58,9 @@ RESOLUTIONS = MappingProxyType(
         "N m": 2.0**-21,  # 0.5 uN m
     }
 )
-#: Beginning of the groups of unit vectors, which are rounded as angles are.
+#: Prefix of the groups of unit vectors, which are rounded like angles.
 UNIT_VECTORS = "direction_"
-#: Significant bits of computed channels with other units, such as variances; the state, a whole number, stays exact.
+#: Significant bits of computed channels whose unit is not above, such as variances; the state, an integer, stays exact.
 SIGNIFICANT_BITS = 11
 DOUBLE, SINGLE = "float64", "float32"
 
@@ -84,7 +84,7 @@ class RowFormat:
         self.channels = channels
         self.types = tuple(types) or (DOUBLE,) * len(channels)
         if len(self.types) != len(channels) or not {DOUBLE, SINGLE}.issuperset(self.types):
-            raise ValueError(f"a row of {len(channels)} channels has the types {self.types}")
+            raise ValueError(f"{len(channels)} channels need as many types float64 or float32, not {self.types}")
         self._parts: list[slice] = []  # consecutive columns of the same type
         for _, columns in groupby(range(len(channels)), lambda column: self.types[column]):
             listed = list(columns)
@@ -150,7 +150,7 @@ class Rounding:
         self._floating = np.array([column for column, resolution in computed if not resolution], np.intp)
 
     def rounded(self, rows: Array) -> Array:
-        """Return a copy of rows (n, channels): multiples of `RESOLUTIONS`, or numbers of `SIGNIFICANT_BITS`."""
+        """Return a copy of rows (n, channels), rounded to multiples of `RESOLUTIONS` or to `SIGNIFICANT_BITS`."""
         rows = rows.copy()
         rows[:, self._fixed] = np.rint(rows[:, self._fixed] / self._resolution) * self._resolution
         mantissas, exponents = np.frexp(rows[:, self._floating])
@@ -282,7 +282,7 @@ class DataSection:
             raise
 
     def write_chunk(self, rows: Rows, topic: int, messages: Sequence[WrittenMessage]) -> None:
-        """Append a chunk with rows of one topic and messages of others, and give it to the operating system.
+        """Append a chunk with rows of one topic and messages of other topics, and give it to the operating system.
 
         Raises:
             OSError: the chunk cannot be written; the file then ends with the previous chunk.
@@ -322,7 +322,7 @@ class DataSection:
     def _append(self, data: bytes) -> None:
         left = memoryview(data)
         while left:
-            # A nearly full disk writes only a part of the data. The next attempt to write then raises the error.
+            # On a nearly full disk, only a part of the data is written. The next attempt then raises the error.
             left = left[self._file.write(left) or 0 :]
         self._end += len(data)
 
@@ -347,7 +347,7 @@ def index_record(topic: int, entries: bytes) -> bytes:
 
 
 def sync_folder(folder: Path) -> None:
-    """Flush a folder's list of file names to the disk, so that new names survive a power cut."""
+    """Flush a folder's list of file names to the disk, so that new names survive a power failure."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

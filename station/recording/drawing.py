@@ -32,8 +32,7 @@ Pose = tuple[Sequence[float], Sequence[float]]  #: pose as position [m] and quat
 ARROW_SCALE_M_PER_N, ARROW_WIDTH_M = 0.2, 0.002
 #: Smallest force for which an arrow is drawn [N].
 MIN_DRAWN_FORCE_N = 0.005
-#: Colours of the tubes, innermost tube first. Two digits keep the messages short, because a
-#: recording has many of them.
+#: Colours of the tubes, innermost tube first; two digits keep the many messages of a recording short.
 TUBE_COLOURS = tuple(Colour(*(round(part / 255, 2) for part in colour)) for colour in palette.TUBES)
 FORCE_COLOUR = Colour(*(round(part / 255, 2) for part in palette.FORCE))
 #: Channel group with a tip position, by topic. The true tip exists only in recordings of a virtual lab.
@@ -52,6 +51,7 @@ class RobotPose(NamedTuple):
     tip: Pose  #: pose of the tip that the model computes
     bases: tuple[Pose, ...]  #: pose of each tube's base, which rotates with the tube
     lines: tuple[Array, ...]  #: centre line of each tube, from its base to its end (k, 3) [m]
+    jacobian: Array  #: (6, n) derivative of the tip's position [m] and rotation [rad] by the joints [rad or m]
 
 
 class PoseReader:
@@ -85,14 +85,14 @@ class PoseReader:
         ]
         plate: Pose = (self._plate.tolist(), self._upright)
         tip: Pose = (near.tip.tolist(), quaternion_of(near.rotation))
-        return RobotPose(plate, tip, tuple(bases), tuple(self._lines(near, starts, beta)))
+        return RobotPose(plate, tip, tuple(bases), tuple(self._lines(near, starts, beta)), near.jacobian)
 
     def _lines(self, solution: Solution, starts: Array, beta: Array) -> list[Array]:
         shape = self._statics.shape(solution)
         arc, points = shape[:, 0], shape[:, 10:13]
         lines: list[Array] = []
         for tube, start, base in zip(self._robot.tubes, starts, beta.tolist(), strict=True):
-            sections = int(arc.searchsorted(base + tube.length + 1e-9))
+            sections = max(int(arc.searchsorted(base + tube.length + 1e-9)), 1)
             # Every second section is enough: a chord of 20 mm in a curve of 4/m has an error of at most 0.2 mm.
             lines.append(np.concatenate((start[None], points[: sections - 1 : 2], points[sections - 1, None])))
         return lines
@@ -121,6 +121,16 @@ def quaternion_of(rotation: Array) -> tuple[float, float, float, float]:
     return four[0] / size, four[1] / size, four[2] / size, four[3] / size
 
 
+def rotation_of(quaternion: Sequence[float]) -> Array:
+    """Return the rotation matrix (3, 3) of a unit quaternion x, y, z, w."""
+    x, y, z, w = quaternion
+    return np.array([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
 def _turned(quaternion: Sequence[float], angle: float) -> tuple[float, float, float, float]:
     """Return a quaternion after a rotation about its z axis."""
     x, y, z, w = quaternion
@@ -132,7 +142,7 @@ class Drawing:
     """Creates the drawing messages of one robot from telemetry rows."""
 
     def __init__(self, robot: Robot, channels: Sequence[Channel], first_topic: int) -> None:
-        """Prepare the messages; `first_topic` is the id in the file of the first of `topics`."""
+        """Prepare the messages; `first_topic` is the MCAP id of the first of `topics`."""
         self.topics: tuple[Topic, ...] = (
             json_topic("/tf", "foxglove.FrameTransforms"),
             json_topic("/scene", "foxglove.SceneUpdate"),
@@ -157,7 +167,7 @@ class Drawing:
         return self.posed(row, self._poser.of(row), stamp)
 
     def posed(self, row: Array, posed: RobotPose | None, stamp: int) -> list[WrittenMessage]:
-        """Return the drawing messages of a telemetry row at `stamp` [ns] with an already computed robot pose."""
+        """Return the drawing messages of a telemetry row at `stamp` [ns] for its robot pose, computed by the caller."""
         said = [
             WrittenMessage(self._first + number, stamp, position_in_frame(stamp, row[at].tolist()))
             for number, name, at in self._tips

@@ -7,23 +7,29 @@ array for each channel and is created in memory.
 """
 
 import json
+import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from core.robot.robot import Array
+from station.config.controllers import PERIOD_S
 from station.control.telemetry import Channel
 from station.recording.data_section import unique_name
 from station.recording.read import CaseReader, open_case
-from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE
+from station.recording.run_folder import SUMMARY_FILE, recordings
 from station.recording.run_outcome import RecordingError
+from station.regular_file import read_in
 
 FORMATS = ("csv", "parquet", "mat")
 MOTION_TIME = Channel("motion_time", "s")
+#: Rate of the recorded rows [1/s].
+TICK_RATE_HZ = 1.0 / PERIOD_S
 #: Number of rows in a row group of a Parquet file: large enough to compress well, small enough for the memory.
 ROW_GROUP_ROWS = 50_000
 #: Longest variable name that MATLAB allows [characters].
@@ -32,12 +38,46 @@ MAX_MATLAB_NAME = 63
 MAX_MATLAB_BYTES = 2**31
 
 
+class Choice(NamedTuple):
+    """Selection of the content of an export."""
+
+    fields: tuple[str, ...] = ()  #: names of fields as `tip_measured`, or of channels as `force.x`; empty: all
+    rate: float = TICK_RATE_HZ  #: largest rate of the rows [1/s]
+
+    @property
+    def stride(self) -> int:
+        """Number of recorded ticks per exported row."""
+        return max(1, math.ceil(TICK_RATE_HZ / self.rate - 1e-9))
+
+    def columns(self, channels: Sequence[Channel]) -> list[int]:
+        """Return the indices of the chosen channels.
+
+        Raises:
+            RecordingError: a name is neither a field nor a channel of the recording.
+        """
+        known = [{channel.name, channel.name.partition(".")[0]} for channel in channels]
+        unknown = [name for name in self.fields if not any(name in names for names in known)]
+        if unknown:
+            every = ", ".join(fields_of(channels))
+            raise RecordingError(f"the recording has no {', '.join(map(repr, unknown))}; its fields are: {every}")
+        return [at for at, names in enumerate(known) if not self.fields or not names.isdisjoint(self.fields)]
+
+
+EVERYTHING = Choice()
+
+
+def fields_of(channels: Iterable[Channel]) -> dict[str, int]:
+    """Return the number of channels of each field of a recording, by the field's name."""
+    return dict(Counter(channel.name.partition(".")[0] for channel in channels))
+
+
 def export_run(
     folder: Path,
     kind: str,
     out: Path | None,
     progress: Callable[[str, float], None] = lambda _case, _part: None,
     case: str = "",
+    choice: Choice = EVERYTHING,
 ) -> list[Path]:
     """Write the cases of a run in another format.
 
@@ -47,6 +87,7 @@ def export_run(
         out: a file for one case, a folder for several; None: the folder of the recordings.
         progress: receives the name of a case and the fraction of it that is done.
         case: name of the only case to write; empty: all cases.
+        choice: fields and rate.
 
     Returns:
         Paths of the written files, which are complete.
@@ -54,30 +95,31 @@ def export_run(
     Raises:
         RecordingError: the run has no such recording, one cannot be read, or the disk is full.
     """
-    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
-    if not recordings:
+    found = recordings(folder)
+    if not found:
         raise RecordingError(f"{folder}: the folder has no recording")
     if case != "":
-        names = ", ".join(path.stem for path in recordings)
-        recordings = [path for path in recordings if path.stem == case]
-        if not recordings:
+        names = ", ".join(path.stem for path in found)
+        found = [path for path in found if path.stem == case]
+        if not found:
             raise RecordingError(f"{folder}: the run has no case '{case}'; its cases are {names}")
     if out is not None and out.suffix == f".{kind}" and not out.is_dir():
-        if len(recordings) > 1:
-            names = ", ".join(path.stem for path in recordings)
-            raise RecordingError(f"{out}: one file for the cases {names}; give a folder or --case")
+        if len(found) > 1:
+            names = ", ".join(path.stem for path in found)
+            raise RecordingError(f"{out}: one file cannot have the cases {names}; give a folder or --case")
         targets = [out]
     else:
-        targets = [(out or folder) / f"{path.stem}.{kind}" for path in recordings]
-    for recording, target in zip(recordings, targets, strict=True):
+        targets = [(out or folder) / f"{path.stem}.{kind}" for path in found]
+    for recording, target in zip(found, targets, strict=True):
         start = _motion_start(folder / SUMMARY_FILE, recording.stem)
-        export_case(recording, kind, target, start, lambda part, name=recording.stem: progress(name, part))
+        export_case(recording, kind, target, start, lambda part, name=recording.stem: progress(name, part), choice)
     return targets
 
 
 def export_case(
-    recording: Path, kind: str, target: Path, start: float, progress: Callable[[float], None] = lambda _: None
-) -> None:
+    recording: Path, kind: str, target: Path, start: float,
+    progress: Callable[[float], None] = lambda _: None, choice: Choice = EVERYTHING,
+) -> None:  # fmt: skip
     """Write a recording in another format to the file `target`, which gets its name only when it is complete.
 
     Args:
@@ -86,9 +128,10 @@ def export_case(
         target: file to write.
         start: time of the motion's start in the recording [s].
         progress: receives the fraction that is done.
+        choice: fields and rate.
 
     Raises:
-        RecordingError: the recording cannot be read, or the disk is full.
+        RecordingError: the recording cannot be read or lacks a chosen field, or the disk is full.
     """
     write = {"csv": _csv, "parquet": _parquet, "mat": _mat}[kind]
     unfinished = target.with_name(target.name + ".partial")
@@ -96,7 +139,9 @@ def export_case(
         target.parent.mkdir(parents=True, exist_ok=True)
         with open_case(recording) as case:
             try:
-                write(case, (MOTION_TIME, *case.channels), _blocks(case, start, progress), unfinished)
+                kept = choice.columns(case.channels)
+                channels = (MOTION_TIME, *(case.channels[at] for at in kept))
+                write(case, channels, _blocks(case, start, kept, choice.stride, progress), unfinished)
                 unfinished.replace(target)
             finally:
                 unfinished.unlink(missing_ok=True)
@@ -113,30 +158,34 @@ def matlab_names(channels: Sequence[Channel]) -> list[str]:
 
 
 def _motion_start(summary: Path, case: str) -> float:
-    """Return the time of the motion's start in a recording [s]; 0 in virtual time: it begins with the motion."""
-    if not summary.is_file():
-        return 0.0
+    """Return the time of the motion's start in a recording [s]; 0 in virtual time, where both start together."""
     try:
-        return float(json.loads(summary.read_bytes()).get("cases", {}).get(case, {}).get("motion_start", 0.0))
+        cases = json.loads(read_in(summary.parent, summary.name)).get("cases", {})
+        return float(cases.get(case, {}).get("motion_start", 0.0))
+    except FileNotFoundError:
+        return 0.0
     except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
         raise RecordingError(f"{summary}: cannot read the start of the motion of '{case}': {error!r}") from None
 
 
-def _blocks(case: CaseReader, start: float, progress: Callable[[float], None]) -> Iterable[Array]:
-    """Yield the rows with the time since the motion's start as their first column."""
+def _blocks(
+    case: CaseReader, start: float, kept: Sequence[int], stride: int, progress: Callable[[float], None]
+) -> Iterable[Array]:
+    """Yield every `stride`-th row: the time since the motion's start, then the `kept` channels."""
     done, time = 0, [channel.name for channel in case.channels].index("time")
     for rows in case.blocks():
-        yield np.column_stack([rows[:, time] - start, rows])
+        chosen = rows[-done % stride :: stride]
+        yield np.column_stack([chosen[:, time] - start, chosen[:, kept]])
         done += len(rows)
         progress(done / case.ticks)
 
 
 def _csv(_case: CaseReader, channels: Sequence[Channel], blocks: Iterable[Array], target: Path) -> None:
-    """Write a CSV file whose numbers have enough digits to be read back to the same bits."""
+    """Write a CSV file whose numbers have so many digits that a reader gets exactly the recorded values."""
     with target.open("wb") as file:
         file.write((",".join(_quoted(channel.column) for channel in channels) + "\n").encode())
         for rows in blocks:
-            # JSON has the shortest exact digits too, and this encoder is four times as fast as `repr` of each number.
+            # Like `repr`, this JSON encoder writes the shortest exact digits; it is four times as fast.
             text = msgspec.json.encode(rows.tolist()).replace(b"null", b"nan")
             file.write(text[2:-2].replace(b"],[", b"\n") + b"\n")
 
@@ -183,6 +232,7 @@ def _mat(case: CaseReader, channels: Sequence[Channel], blocks: Iterable[Array],
     for rows in blocks:
         columns[:, filled : filled + len(rows)] = rows.T
         filled += len(rows)
+    columns = columns[:, :filled]
     names = matlab_names(channels)
     content: Mapping[str, Any] = {
         **{name: column[:, None] for name, column in zip(names, columns, strict=True)},

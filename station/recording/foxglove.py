@@ -71,7 +71,7 @@ _SCHEMAS = {
         name=_TEXT,
         file=_TEXT,
         line=_WHOLE,
-        time={"type": "number", "description": "as /telemetry has it [s]"},
+        time={"type": "number", "description": "time on the clock of /telemetry [s]"},
         data={"type": "object"},
     ),
 }
@@ -163,7 +163,7 @@ def _literal(name: str) -> str:
     return json.dumps(name).replace("%", "%%")
 
 
-#: Kind of the events with which an operator marks a moment of a run.
+#: Kind of an event by which an operator marks a moment of a run.
 MARK = "mark"
 
 

@@ -15,16 +15,8 @@ from station.recording.data_section import RowFormat
 #: Names of the metadata records at the start of a recording.
 RUN_RECORD = "run"
 CHANNELS_RECORD = "channels"
-#: Format number of new recordings. It is raised when an older ctr-station would misunderstand new recordings.
-FORMAT = 3
-#: Names of channel groups in recordings of format 1, with their names since format 2.
-FORMAT_1_GROUPS = {
-    "held": "estimates_frozen",
-    "asked_kind": "request_kind",
-    "asked_time": "request_time",
-    "asked": "request",
-    "asked_velocity": "request_velocity",
-}
+#: Format number of new recordings. It increases when an older ctr-station would misunderstand new recordings.
+FORMAT = 1
 #: Packages whose versions may change a result, including this program.
 PACKAGES = ("ctr-station", "numpy", "numba", "scipy", "filterpy")
 
@@ -45,26 +37,10 @@ def channel_texts(rows: RowFormat) -> dict[str, str]:
     return {"columns": json.dumps(columns, ensure_ascii=False)}
 
 
-def row_format(written: Mapping[str, str], file_format: int = FORMAT) -> RowFormat:
-    """Return the format of the rows from the texts of `channel_texts`.
-
-    Channels of format 1 get their present names. Formats 1 and 2 have no types: all of their channels are float64.
-    """
-    groups = FORMAT_1_GROUPS if file_format < 2 else {}
+def row_format(written: Mapping[str, str]) -> RowFormat:
+    """Return the format of the rows from the texts of `channel_texts`."""
     columns: list[list[str]] = json.loads(written["columns"])
-    channels = [Channel(_renamed(str(name), groups), str(unit)) for name, unit, *_ in columns]
-    return RowFormat(channels, [kind for _, _, *kinds in columns for kind in kinds])
-
-
-def _renamed(name: str, groups: Mapping[str, str]) -> str:
-    """Return a channel's name; if its group is in `groups`, the group is replaced by the new name."""
-    group, dot, member = name.partition(".")
-    return f"{groups.get(group, group)}{dot}{member}"
-
-
-def format_of(run: Mapping[str, Any]) -> Any:
-    """Return the format number of a recording with this metadata; without one, as in version 0.1.0, it is 1."""
-    return run.get("format", 1)
+    return RowFormat([Channel(name, unit) for name, unit, _ in columns], [kind for _, _, kind in columns])
 
 
 def versions() -> dict[str, str]:
@@ -73,15 +49,15 @@ def versions() -> dict[str, str]:
 
 
 def is_later(run: Mapping[str, Any]) -> str:
-    """Return why this version of ctr-station cannot read a recording with this metadata; empty if it can."""
-    recorded = format_of(run)
+    """Return why this version cannot read a recording with this metadata; empty if it can, or without metadata."""
+    recorded = run.get("format", FORMAT)
     if isinstance(recorded, int) and recorded <= FORMAT:
         return ""
     made = run.get("versions")
     by = made.get("ctr-station", "of a later version") if isinstance(made, Mapping) else "of a later version"
     return (
         f"format = {recorded} is later than {FORMAT}, the latest that this ctr-station reads; it was recorded by"
-        f" ctr-station {by}: update this one, or export the run there"
+        f" ctr-station {by}: update this ctr-station, or export the run with that version"
     )
 
 

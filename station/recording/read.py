@@ -21,9 +21,10 @@ from core.robot.robot import Array
 from station.control.telemetry import Channel
 from station.recording.data_section import MESSAGE_HEADER_BYTES, TELEMETRY_TOPIC, RowFormat
 from station.recording.foxglove import EVENTS_TOPIC, RecordedEvent, event_of
-from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, format_of, is_later, row_format, values_of
+from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, is_later, row_format, values_of
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import RECORD_HEADER_BYTES, RESULT_RECORD
+from station.regular_file import open_in
 
 #: Largest number of rows from which the errors of a run are computed: every tick of half an hour. Of a longer run only
 #: every n-th row is used.
@@ -72,7 +73,7 @@ class CaseReader:
             self.metadata: Mapping[str, Any] = values_of(written[RUN_RECORD])
             if later := is_later(self.metadata):
                 raise RecordingError(f"{path}: {later}")
-            self._format = row_format(written[CHANNELS_RECORD], format_of(self.metadata))
+            self._format = row_format(written[CHANNELS_RECORD])
             self.channels = tuple(self._format.channels)
             #: Outcome of the run: label, cause, end time; for a live run also the number of missed rows and the
             #: processor time of the recorder.
@@ -126,10 +127,10 @@ def open_case(path: Path) -> Iterator[CaseReader]:
     """Open a recording for reading block by block.
 
     Raises:
-        RecordingError: the file does not exist, is damaged, or was never finished.
+        RecordingError: the file does not exist, is no regular file, is damaged, or was never finished.
     """
     try:
-        file = path.open("rb")
+        file = open_in(path.parent, path.name)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     with file:

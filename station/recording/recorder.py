@@ -19,8 +19,9 @@ import numpy as np
 
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
+from station.config.motions import PalpateMotion
 from station.config.robots import RobotFile
-from station.control.child_process import ChildProcess
+from station.control.child_process import ChildProcess, takes_message
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import set_process_name
 from station.control.ring import RECORDER_HEARTBEAT, Ring
@@ -28,26 +29,28 @@ from station.control.task import Phase
 from station.control.telemetry import Channels
 from station.recording.drawing import Drawing
 from station.recording.foxglove import WARNING, RecordedEvent
-from station.recording.press_outcome import obstacle_of, press_of, press_outcome
+from station.recording.press_outcome import PalpationSoFar, force_not_reached, obstacle_of, press_of, press_outcome
 from station.recording.read import MAX_SUMMARY_ROWS, read_case
 from station.recording.recover import recover
 from station.recording.run_folder import LIVE_CASE, RunFolder
 from station.recording.run_outcome import RecordingError, RunOutcome, motion_errors
 from station.recording.writer import FLUSH_INTERVAL_S, CaseWriter
 
-#: Phases that belong to a run; jogging a joint by hand does not.
+#: Phases of the control task that belong to a run; jogging does not.
 RUN_PHASES = (Phase.APPROACHING, Phase.SETTLING, Phase.MOVING)
 #: Longest time to wait for the first reply of the recorder's process, which has to start, and for any later reply [s].
 START_TIMEOUT_S, REPLY_TIMEOUT_S = 60.0, 10.0
 #: Kind of a motion that sweeps one joint, so it has no desired path of the tip and no tip errors.
 JOINT_SWEEP = "joint_sweep"
+#: Interval between two reports of the stiffness that a palpation has found [s].
+REPORT_INTERVAL_S = 1.0
 
 
 class RunRows:
     """Selects the rows of one run up to the end of its motion, block by block.
 
-    After the motion the load is removed, in a virtual lab at once. The tip then moves, and its motion is not part of
-    the run.
+    After the motion the load is removed, in a virtual lab without delay. The tip moves then, but this motion is not
+    part of the run.
     """
 
     def __init__(self, channels: Channels) -> None:
@@ -57,7 +60,7 @@ class RunRows:
         self.motion_start: float | None = None  #: time of the first row in phase MOVING [s]
 
     def take(self, rows: Array) -> Array:
-        """Return those rows of the next block (n, channels) that belong to the run or precede it: (m, channels)."""
+        """Return the rows (m, channels) of the next block (n, channels) that belong to the run or precede it."""
         if self.over:
             return rows[:0]
         phases = self._channels.of(rows, "phase")[:, 0]
@@ -95,6 +98,12 @@ class RecorderReply(NamedTuple):
     problem: str
 
 
+class RecorderProgress(NamedTuple):
+    """Unsolicited message of the recorder: the stiffness that a palpation has found so far."""
+
+    stiffness: list[list[float | None]]  #: stiffness of each place, row by row [N/m]; None: not known yet
+
+
 class RecorderFault(NamedTuple):
     """Unsolicited message of the recorder: the recording has ended without a request, e.g. because of a full disk."""
 
@@ -115,6 +124,7 @@ class Recorder:
         """
         self._ring, self._clock = ring, clock
         self._trouble = ""
+        self.stiffness: list[list[float | None]] | None = None  #: stiffness found so far; None: no palpation runs
         self.child = ChildProcess(run_recorder, ring.name, robot, runs, clock, name="recorder")
         self._replied = False
 
@@ -127,9 +137,9 @@ class Recorder:
         The tip errors count from `counted_from` [s] after the start of the motion.
 
         Raises:
-            RecordingError: the folder cannot be created, or the recorder is gone.
+            RecordingError: the folder cannot be created, or the recorder has ended.
         """
-        self._trouble = ""
+        self._trouble, self.stiffness = "", None
         request = StartRecording(name, metadata, counted_from)
         path = self._request(request, REPLY_TIMEOUT_S if self._replied else START_TIMEOUT_S)
         self._replied = True
@@ -137,13 +147,13 @@ class Recorder:
 
     def event(self, event: RecordedEvent) -> None:
         """Record an event of the run; without an active recording the event is dropped."""
-        self.child.send(event)  # if the recorder is gone, the method `trouble` reports the problem later
+        self.child.send(event)  # if the recorder has ended, the method `trouble` reports it later
 
     def end(self, label: RunOutcome, cause: str = "", numbers: Mapping[str, Any] | None = None) -> Path:
         """Finish the recording with the rows that are in the ring, and return the run's folder.
 
         Raises:
-            RecordingError: the recording could not be finished, has already ended, or the recorder is gone.
+            RecordingError: the recording cannot be finished or has already ended, or the recorder has ended.
         """
         return self._request(EndRecording(label, cause, numbers or {}), REPLY_TIMEOUT_S)
 
@@ -179,9 +189,11 @@ class Recorder:
             f"the recorder did not reply within {timeout:g} s and was ended (a slow disk?); reset starts a new one"
         )
 
-    def _note(self, message: RecorderReply | RecorderFault) -> None:
+    def _note(self, message: RecorderReply | RecorderProgress | RecorderFault) -> None:
         if isinstance(message, RecorderFault):
             self._trouble = message.text
+        elif isinstance(message, RecorderProgress):
+            self.stiffness = message.stiffness
 
     def _gone(self) -> str:
         how = self.child.ended(self._clock.real(1.0))
@@ -229,12 +241,13 @@ def run_recorder(
             if recording is not None:
                 try:
                     recording.copy()
+                    recording.report(pipe)
                 except RecordingError as error:
                     recording.give_up(str(error))
                     recording = None
                     pipe.send(RecorderFault(str(error)))
     except (EOFError, OSError):
-        pass  # the parent is gone; an active recording is finished below
+        pass  # the parent process has ended; an active recording is finished below
     finally:
         if recording is not None:
             recording.end(EndRecording(RunOutcome.INTERRUPTED, "the station process is gone", {}))
@@ -261,6 +274,9 @@ class _Recording:
         self._cpu = time.process_time()
         self._missed = 0
         self._last = 0.0
+        press = press_of(request.metadata.get("settings", {}))
+        self._palpation = PalpationSoFar(press, channels) if isinstance(press, PalpateMotion) else None
+        self._reported, self._found = 0.0, list[list[float | None]]()
 
     def copy(self) -> None:
         """Copy the new rows of the run from the telemetry ring to the disk."""
@@ -272,15 +288,28 @@ class _Recording:
         rows = self._run_rows.take(rows)
         if len(rows):
             self._last = float(rows[-1, 0])
+            if self._palpation is not None:
+                self._palpation.add(rows)
         self.writer.write(rows)
+
+    def report(self, pipe: Connection) -> None:
+        """Send the stiffness that a palpation has found, if it is new; never wait for a parent that does not read."""
+        start = self._run_rows.motion_start
+        if self._palpation is None or start is None or self._last < self._reported + REPORT_INTERVAL_S:
+            return
+        self._reported, found = self._last, self._palpation.stiffness(start)
+        if found != self._found and takes_message(pipe):
+            self._found = found
+            pipe.send(RecorderProgress(found))
 
     def end(self, end: EndRecording) -> RecorderReply:
         """Finish the recording and return the reply."""
         try:
             self.copy()
             self.writer.close(end.label, end.cause, missed=self._missed, cpu_s=time.process_time() - self._cpu)
-            numbers = {**end.numbers, **self._errors()}
-            self._folder.finish(self._summary(end.label, end.cause, numbers))
+            errors, missed = self._errors()
+            cause = "; ".join(filter(None, (end.cause, missed if end.label is RunOutcome.COMPLETE else "")))
+            self._folder.finish(self._summary(end.label, cause, {**end.numbers, **errors}))
         except RecordingError as error:
             self.give_up(str(error))
             return RecorderReply(None, str(error))
@@ -291,20 +320,24 @@ class _Recording:
         with contextlib.suppress(RecordingError):
             self._folder.finish(self._summary(RunOutcome.INCOMPLETE, problem, {}))
 
-    def _errors(self) -> Mapping[str, Any]:
-        """Return the errors of tip and force; empty if the motion did not settle or has no path of the tip."""
+    def _errors(self) -> tuple[Mapping[str, Any], str]:
+        """Return the errors of tip and force, and why a desired force was not reached.
+
+        Both are empty if the motion did not settle or has no path of the tip.
+        """
         start, first = self._run_rows.motion_start, self._request.counted_from
         if start is None:
-            return {}
+            return {}, ""
         motion = {"motion_start": start, "motion_s": round(self._last - start + PERIOD_S, 3), "counted_from_s": first}
         settings = self._request.metadata.get("settings", {})
         if settings.get("trajectory", {}).get("kind") == JOINT_SWEEP:
-            return motion
+            return motion, ""
         of = read_case(self._folder.case(LIVE_CASE), MAX_SUMMARY_ROWS).of
         found = {**motion, **motion_errors(of, start, first)}
         if "force_max_N" in found and (press := press_of(settings)) is not None:
             found |= press_outcome(of, press, obstacle_of(settings), start, first)
-        return found
+            return found, force_not_reached(of, press, start)
+        return found, ""
 
     def _summary(self, label: RunOutcome, cause: str, numbers: Mapping[str, Any]) -> dict[str, Any]:
         metadata = self._request.metadata

@@ -19,15 +19,26 @@ from mcap.stream_reader import StreamReader
 
 from station.recording.metadata import RUN_RECORD, is_later, texts, values_of
 from station.recording.read import open_case
-from station.recording.run_folder import RECORDING_SUFFIX, SUMMARY_FILE, VIDEOS_FOLDER, lock_folder, write_json
+from station.recording.run_folder import (
+    EXPERIMENT_FILE,
+    RECORDING_SUFFIX,
+    SUMMARY_FILE,
+    VIDEOS_FOLDER,
+    lock_folder,
+    recordings,
+    write_json,
+)
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
+from station.regular_file import is_regular, open_in
 
 CAUSES = {
     RunOutcome.INTERRUPTED: "the recording process ended; recovered up to the last chunk that reached the disk",
     RunOutcome.INCOMPLETE: "the disk was full",
 }
+#: Files and folders that the folder of an unfinished run without a recording may have.
+RUN_FILES = {EXPERIMENT_FILE, SUMMARY_FILE, VIDEOS_FOLDER}
 
 
 def recover(runs: Path) -> list[Path]:
@@ -43,7 +54,7 @@ def recover(runs: Path) -> list[Path]:
         RecordingError: the disk is full; a later attempt can finish the runs without loss.
     """
     recovered: list[Path] = []
-    for folder in sorted(runs.glob(f"*{PARTIAL_SUFFIX}")):
+    for folder in _unfinished(runs):
         try:
             if _of_later(folder):
                 continue  # this version does not know the format of the run
@@ -62,9 +73,16 @@ def recover(runs: Path) -> list[Path]:
     return recovered
 
 
+def _unfinished(runs: Path) -> list[Path]:
+    """Return the folders of unfinished runs; links and files are left out."""
+    return sorted(path for path in runs.glob(f"*{PARTIAL_SUFFIX}") if path.is_dir() and not path.is_symlink())
+
+
 def _recover_videos(runs: Path) -> None:
     """Finish the videos of cameras that were killed, also those of complete runs."""
     for left in sorted(runs.glob(f"*/{VIDEOS_FOLDER}/*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}")):
+        if not is_regular(left) or left.parent.is_symlink() or left.parent.parent.is_symlink():
+            continue  # a link may point to files of another program
         try:
             recover_file(left)
         except BlockingIOError:
@@ -76,25 +94,22 @@ def _recover_videos(runs: Path) -> None:
 def unrecoverable(runs: Path) -> list[str]:
     """Return a message with instructions for each interrupted run that only a later ctr-station can finish."""
     return [
-        f"{folder}: interrupted, and not recovered: {why}"
-        for folder in sorted(runs.glob(f"*{PARTIAL_SUFFIX}"))
-        if (why := _of_later(folder))
+        f"{folder}: interrupted, and not recovered: {why}" for folder in _unfinished(runs) if (why := _of_later(folder))
     ]
 
 
 def _of_later(folder: Path) -> str:
     """Return why this version of ctr-station cannot finish the recordings in a folder; empty if it can."""
     for path in sorted(folder.glob(f"*{RECORDING_SUFFIX}*")):
-        with contextlib.suppress(OSError), path.open("rb") as file:
+        with contextlib.suppress(OSError), open_in(folder, path.name) as file:
             if later := is_later(_run(file)):
                 return f"{path.name}: {later}"
     return ""
 
 
 def _left(folder: Path) -> list[Path]:
-    return sorted(
-        (*folder.glob(f"*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}"), *folder.glob(f"*{RECORDING_SUFFIX}{FULL_SUFFIX}"))
-    )
+    left = (*folder.glob(f"*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}"), *folder.glob(f"*{RECORDING_SUFFIX}{FULL_SUFFIX}"))
+    return sorted(filter(is_regular, left))
 
 
 def _run(file: IO[bytes]) -> Mapping[str, Any]:
@@ -132,12 +147,13 @@ def recover_file(left: Path) -> Path | None:
 def _recover_folder(folder: Path) -> Path | None:
     for left in _left(folder):
         recover_file(left)
-    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
-    if not recordings:
-        shutil.rmtree(folder)
+    found = recordings(folder)
+    if not found:
+        if {path.name for path in folder.iterdir()} <= RUN_FILES:  # otherwise it is a folder of the user
+            shutil.rmtree(folder)
         return None
     if not (folder / SUMMARY_FILE).exists():
-        write_json(folder / SUMMARY_FILE, _summary(recordings))
+        write_json(folder / SUMMARY_FILE, _summary(found))
     target = folder.with_name(folder.name.removesuffix(PARTIAL_SUFFIX))
     number = 2
     while target.exists():
@@ -146,12 +162,12 @@ def _recover_folder(folder: Path) -> Path | None:
     return target
 
 
-def _summary(recordings: list[Path]) -> Mapping[str, Any]:
+def _summary(found: list[Path]) -> Mapping[str, Any]:
     """Return a summary of a recovered run, computed from its recordings."""
     cases: dict[str, Any] = {}
     labels: list[RunOutcome] = []
     run: Mapping[str, Any] = {}
-    for path in recordings:
+    for path in found:
         try:
             with open_case(path) as case:
                 run = case.metadata

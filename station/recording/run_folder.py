@@ -1,10 +1,12 @@
 """Folder of a run with `<case>.mcap`, `experiment.toml` and `summary.json`; it gets its name when the run has ended."""
 
 import contextlib
+import errno
 import fcntl
 import itertools
 import json
 import os
+import secrets
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -15,6 +17,7 @@ from typing import Any
 from station.recording.data_section import sync_folder
 from station.recording.run_outcome import RecordingError
 from station.recording.writer import PARTIAL_SUFFIX
+from station.regular_file import is_regular, open_folder
 
 SUMMARY_FILE = "summary.json"
 EXPERIMENT_FILE = "experiment.toml"
@@ -29,6 +32,10 @@ LIVE_CASE = "run"
 RECORDING_BYTES_PER_S = 400_000.0
 #: Disk space that stays free for other programs [bytes].
 FREE_SPACE_BYTES = 100e6
+#: Number of characters of a file's name that its provisional name contains; a name has at most 255 bytes.
+MAX_STEM_CHARS = 50
+#: Longest wait of a change of a run until another change has finished [s], and interval of the attempts [s].
+CHANGE_PATIENCE_S, CHANGE_POLL_S = 5.0, 0.005
 
 
 class RunFolder:
@@ -51,7 +58,7 @@ class RunFolder:
                     self.partial.mkdir()
                 except FileExistsError:
                     continue
-                # A recovery by another process may have found the new folder empty and unlocked, and removed it.
+                # A recovery in another process may have removed the new folder while it was empty and unlocked.
                 self._lock = lock_folder(self.partial)
                 if self._lock is not None and not self.path.exists():
                     break
@@ -70,7 +77,7 @@ class RunFolder:
             (self.partial / EXPERIMENT_FILE).write_text(text, encoding="utf-8")
 
     def case(self, name: str) -> Path:
-        """Return the path at which the recording of a case is to be written."""
+        """Return the path for the recording of a case, in the unfinished folder."""
         return self.partial / f"{name}{RECORDING_SUFFIX}"
 
     def finish(self, summary: Mapping[str, Any]) -> None:
@@ -110,7 +117,7 @@ def lock_folder(folder: Path) -> int | None:
     The lock ends when the descriptor is closed or this process ends.
     """
     try:
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except FileNotFoundError:
         return None
     try:
@@ -122,6 +129,33 @@ def lock_folder(folder: Path) -> int | None:
         os.close(descriptor)
         return None
     return descriptor
+
+
+@contextmanager
+def locked_for_change(folder: Path) -> Iterator[None]:
+    """Lock the folder of a finished run, so that no other thread or process changes it during the block.
+
+    Raises:
+        FileNotFoundError: the folder does not exist, or was moved or removed before it could be locked.
+        OSError: the folder is a link, or another program has locked it for longer than `CHANGE_PATIENCE_S`.
+    """
+    until = time.monotonic() + CHANGE_PATIENCE_S
+    with open_folder(folder) as descriptor:
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > until:
+                    text = f"another program has been changing it for {CHANGE_PATIENCE_S:g} s"
+                    raise BlockingIOError(errno.EAGAIN, text, folder) from None
+                time.sleep(CHANGE_POLL_S)
+        try:
+            if not os.path.samestat(os.fstat(descriptor), folder.lstat()):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), folder)
+            yield
+        finally:
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -136,17 +170,40 @@ def write_json(path: Path, value: Any) -> None:
 def write_atomically(text: str, path: Path) -> Path:
     """Replace a file by a text atomically: readers see the old file or the complete new one.
 
+    Several threads or processes may write the same file at the same time; the last one wins.
+
     Raises:
         OSError: the file cannot be written, for example because the disk is full.
     """
-    whole = path.with_name(path.name + ".partial")
-    whole.write_text(text, encoding="utf-8")
-    return whole.replace(path)
+    whole = path.with_name(f".{path.name[:MAX_STEM_CHARS]}-{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
+    with whole.open("x", encoding="utf-8") as file:  # outside of `try`: a file that exists is not ours to remove
+        try:
+            file.write(text)
+            file.flush()
+            return whole.replace(path)
+        except BaseException:
+            whole.unlink(missing_ok=True)
+            raise
+
+
+def recordings(folder: Path) -> list[Path]:
+    """Return the recordings of a run's cases, sorted by name; links and names that are not UTF-8 are left out."""
+    return sorted(path for path in folder.glob(f"*{RECORDING_SUFFIX}") if has_utf8_name(path) and is_regular(path))
 
 
 def video_files(folder: Path) -> list[Path]:
-    """Return the finished videos of a run, sorted by name."""
-    return sorted((folder / VIDEOS_FOLDER).glob(f"*{RECORDING_SUFFIX}"))
+    """Return the finished videos of a run, sorted by name; links are left out."""
+    inside = folder / VIDEOS_FOLDER
+    return [] if inside.is_symlink() else sorted(filter(is_regular, inside.glob(f"*{RECORDING_SUFFIX}")))
+
+
+def has_utf8_name(path: Path) -> bool:
+    """Return whether the file name is valid UTF-8."""
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def free_space_problem(folder: Path, duration: float, videos: float = 0.0) -> str:

@@ -1,6 +1,6 @@
 """Outcome of a run: label, tip errors as in the paper (per axis, after the settling time), force, joints at a limit.
 
-If the load starts within the settling time, errors count from this onset: the load's effect is not part of settling.
+If the load starts within the settling time, errors count from the load's start, because its effect is no settling.
 """
 
 import math
@@ -17,10 +17,11 @@ from core.robot.robot import Array
 from station.config.strict import Strict, Vector
 from station.devices.interfaces import ABSENT
 
-#: Settling time of a free motion [s]; a short motion has half of its duration instead.
-SETTLING_S = 20.0
-#: Smallest fraction of time at a limit for which a joint is named in the warning; rarer limits have no visible effect.
+#: Fraction of time at a limit above which the warning names a joint; a smaller fraction has no visible effect.
 NAMED_PART = 0.02
+#: Largest standard deviation of a known force [N]. A force along stiff tubes causes no measurable deflection, so its
+#: standard deviation stays at the initial value of 0.25 N.
+KNOWN_STD_N = 0.05
 
 
 class RunOutcome(StrEnum):
@@ -36,25 +37,9 @@ class RecordingError(CtrError):
     """A recording cannot be written or read."""
 
 
-def settling_time(duration: float) -> float:
-    """Return the settling time of a motion for which none is configured [s]."""
-    return min(SETTLING_S, 0.5 * duration)
-
-
 def counted_from(settling: float, onset: float) -> float:
     """Return the time from which errors count: the settling time, or the load's onset if that is earlier [s]."""
     return min(settling, onset)
-
-
-def evaluation_note(cases: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return a sentence about the time from which errors count in each of the `cases` of a summary."""
-    starts = {name: numbers["counted_from_s"] for name, numbers in cases.items() if "counted_from_s" in numbers}
-    if not starts:
-        return "Errors count after the settling time."
-    if len(set(starts.values())) == 1:
-        return f"Errors count from {next(iter(starts.values())):g} s after the motion's start on."
-    each = ", ".join(f"{name} {start:g} s" for name, start in starts.items())
-    return f"Errors count from these times after the motion's start on: {each}."
 
 
 def errors(prefix: str, error: Array, time: Array) -> dict[str, Any]:
@@ -94,12 +79,12 @@ def frame_errors(of: Callable[[str], Array], frames: NDArray[np.bool_], start: f
 
 
 def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Mapping[str, Any]:
-    """Return the tip errors of a motion from `first` [s] after its `start` [s] on, and the largest force since then.
+    """Return the tip errors of a motion from `first` [s] after its `start` [s] on, and the largest force since `start`.
 
-    Empty if the tracker has sent no frame since then. A bench without a tracker has true errors only. `of` returns the
-    columns of a channel group (ticks, k). Errors with the prefix `true_` are those of the virtual lab's true tip.
+    The result is empty if the tracker has sent no frame since `first`. Without a tracker only true errors are returned.
+    `of` returns the columns of a channel group (ticks, k). The prefix `true_` marks errors of the virtual lab's tip.
     """
-    counted = of("time")[:, 0] - start >= first
+    counted = of("time")[:, 0] - start >= first - 1e-9
     frames = counted & (of("tip_new")[:, 0] > 0.0)
     tracked = bool((of("trouble")[counted, 1] != ABSENT).any())
     if not (frames.any() if tracked else counted.any()):
@@ -107,13 +92,34 @@ def motion_errors(of: Callable[[str], Array], start: float, first: float) -> Map
     found = errors("", frame_errors(of, frames, start), of("tip_time")[frames, 0] - start) if tracked else {}
     if of("truth_known")[counted].all():
         found |= errors("true_", (desired(of, "target_true") - of("tip_true"))[counted], of("time")[counted, 0] - start)
-    known = tracked or bool((of("trouble")[counted, 2] != ABSENT).any())
-    return found | (largest_force(of("force_filtered")[counted]) if known else {})
+    return found | largest_force(of, start)
 
 
-def largest_force(force: Array) -> dict[str, Any]:
-    """Return the summary entry with the magnitude of the largest of several forces (samples, 3) [N]."""
-    return {"force_max_N": rounded(np.linalg.norm(force, axis=1).max())}
+def unknown_axes(of: Callable[[str], Array], start: float = 0.0) -> str:
+    """Return the axes in which the force after `start` [s] is unknown: "", "z", "xz" ...
+
+    In these axes the median standard deviation exceeds `KNOWN_STD_N`. Without tracker and force sensors the whole force
+    is unknown. `of` as in `motion_errors`.
+    """
+    if (of("trouble")[:, 1:] == ABSENT).all():
+        return "xyz"
+    variance = np.median(of("force_variance")[of("time")[:, 0] >= start - 1e-9], axis=0)
+    return "".join(axis for axis, one in zip("xyz", variance, strict=True) if one > KNOWN_STD_N**2)
+
+
+def known_force(of: Callable[[str], Array], unknown: str) -> Array:
+    """Return the magnitude of the estimated force (ticks,) [N] without its components along the `unknown` axes."""
+    return np.linalg.norm(of("force_filtered")[:, [axis not in unknown for axis in "xyz"]], axis=1)
+
+
+def largest_force(of: Callable[[str], Array], start: float) -> dict[str, Any]:
+    """Return the summary entries of the largest force [N] since `start` [s], and of the axes in which it is unknown.
+
+    It counts from the motion's start on, because the force of a contact is largest at first.
+    """
+    unknown, moving = unknown_axes(of, start), of("time")[:, 0] >= start - 1e-9
+    found = {"force_unknown": unknown} if unknown else {}
+    return found if unknown == "xyz" else {"force_max_N": rounded(known_force(of, unknown)[moving].max()), **found}
 
 
 def rms(error: Array) -> Array:
@@ -127,28 +133,32 @@ def rounded(value: Any, digits: int = 4) -> float | Sequence[float]:
 
 
 class CaseOutcome(Strict):
-    """Tip errors and force of one case, counted from `counted_from` on."""
+    """Tip errors of one case from the time `counted_from` on, and its largest force."""
 
     against: Literal["true", "measured"]
-    """tip that is compared with the desired one: the virtual lab's, or the tracker's without a ground truth"""
+    """tip that is compared with the desired one: the virtual lab's true tip, or on a bench the measured tip"""
     largest: Vector
     """largest error in x, y, z [mm]"""
     largest_distance: float
     """largest distance from the desired tip [mm]"""
     largest_at: float | None = None
-    """time of the largest distance, after the motion's start [s]; null in runs of older versions"""
+    """time of the largest distance, after the motion's start [s]"""
     rms: Vector
     """root mean square of the error in x, y, z [mm]"""
     rms_distance: float
     """root mean square of the distance [mm]"""
     measured_largest: float | None = None
-    """largest distance by the tracker [mm] beside the true one; null if `against` is "measured" or without a tracker"""
+    """largest distance by the tracker [mm] if `against` is "true"; null if it is "measured", or without a tracker"""
     measured_rms: float | None = None
-    """root mean square of the distance by the tracker [mm], beside the true one; null as `measured_largest`"""
+    """root mean square of the distance by the tracker [mm]; null if `measured_largest` is null"""
     force: float | None = None
-    """largest filtered force at the tip [N]; null in runs of older versions"""
+    """largest force at the tip, filtered, from the motion's start on [N]; null if it is unknown"""
+    force_unknown: str = ""
+    """axes in which the force is unknown, which `force` does not include: "", "z", "xz" ..."""
+    stiffness: Sequence[Sequence[float | None]] | None = None
+    """estimated stiffness of each palpated place, row by row [N/m]; null for an unknown place, and without palpation"""
     duration: float | None = None
-    """duration of the motion [s]; null in runs of older versions"""
+    """duration of the motion [s]"""
     counted_from: float = 0.0
     """time after the motion's start from which errors count [s]"""
 
@@ -178,10 +188,12 @@ def _outcome(numbers: Mapping[str, Any]) -> CaseOutcome | None:
             measured_largest=None if measured is None else numbers["max_distance_mm"],
             measured_rms=None if measured is None else round(math.hypot(*measured), 4),
             force=numbers.get("force_max_N"),
+            force_unknown=numbers.get("force_unknown", ""),
+            stiffness=numbers.get("palpation", {}).get("stiffness_N_per_m"),
             duration=numbers.get("motion_s", numbers.get("simulated_s")),
             counted_from=numbers.get("counted_from_s", 0.0),
         )
-    except (KeyError, TypeError, ValidationError):
+    except (AttributeError, KeyError, TypeError, ValidationError):
         return None
 
 
@@ -201,6 +213,6 @@ def saturation_warning(parts: Mapping[str, float]) -> str:
     if not named:
         return ""
     return (
-        f"the target's path needs more than the stages have: at a limit of speed or travel {', '.join(named)} of the"
-        " time, and the tip falls behind; start from a pose with more room, or use quicker stages"
+        f"the target's path exceeds the speed or travel of the stages (at a limit: {', '.join(named)} of the time),"
+        " so the tip falls behind; start from a pose with more room, or use faster stages"
     )

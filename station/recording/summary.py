@@ -57,7 +57,7 @@ class _Contents:
     metadata_count: int = 0
     times: tuple[int, int] | None = None  #: times of the first and the last message [ns]
     repair: bytearray = field(default_factory=bytearray)  #: message indexes that are missing after the last chunk
-    result: Mapping[str, str] | None = None  #: outcome that an earlier, unfinished end has written
+    result: Mapping[str, str] | None = None  #: outcome that an earlier, interrupted call has written
 
 
 def finish_file(path: Path, result: Mapping[str, str], *, verify: bool) -> Mapping[str, str]:
@@ -65,7 +65,7 @@ def finish_file(path: Path, result: Mapping[str, str], *, verify: bool) -> Mappi
 
     Args:
         path: file to complete; no process may be writing it.
-        result: outcome of the recording; an outcome that an earlier, unfinished end has written takes precedence.
+        result: outcome of the recording; an outcome that an earlier, interrupted call has written takes precedence.
         verify: whether to check every chunk, which is necessary if the writer was killed.
 
     Returns:
@@ -78,7 +78,7 @@ def finish_file(path: Path, result: Mapping[str, str], *, verify: bool) -> Mappi
     with path.open("r+b", buffering=0) as file:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.pread(file.fileno(), len(MCAP0_MAGIC), 0) != MCAP0_MAGIC:
-            raise RecordingError(f"{path}: the file has no recording, its first bytes are missing")
+            raise RecordingError(f"{path}: not a recording, because the file does not start as an MCAP file")
         found = _walk(file.fileno(), verify=verify)
         kept = result if found.result is None else found.result
         file.truncate(found.end)

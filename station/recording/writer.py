@@ -62,7 +62,7 @@ class CaseWriter:
             path: final path of the file.
             robot: robot for the drawings.
             channels: channels of the rows.
-            metadata: everything that the run depends on, by name; versions and the start are added.
+            metadata: everything that the run depends on, by name; versions and the start time are added.
             pictures: number of drawings in a second of the run.
 
         Raises:
@@ -104,7 +104,7 @@ class CaseWriter:
         self._messages.append(WrittenMessage(EVENT_CHANNEL, stamp, event_json(event, stamp)))
 
     def write(self, rows: Array) -> None:
-        """Write rows (n, channels) and the events since the last call; both then survive the end of this process.
+        """Write rows (n, channels) and the events since the last call; both survive a kill of this process.
 
         Computed channels are rounded, see `Rounding`.
 
@@ -190,7 +190,7 @@ class CaseWriter:
 
 
 class CaseRecorder:
-    """Records one case in the process that runs it; the memory does not grow with the length of the run."""
+    """Records one case in the process that runs it; its memory use does not grow with the length of the run."""
 
     def __init__(self, writer: CaseWriter, width: int) -> None:
         self._writer = writer

@@ -1,6 +1,6 @@
 """Pictures of the cameras in a report: at the start, at the largest error and at the end of a run, with the model.
 
-The drawing over a picture is that of the page: the tubes by the loaded model, the measured and the desired tip.
+The drawing over a picture is the same as on the page: tubes by the loaded model, measured and desired tip.
 """
 
 import importlib.util
@@ -30,7 +30,7 @@ NO_EXTRA = "Pictures of the cameras need the extra 'camera': pip install 'ctr-st
 
 
 class Moment(NamedTuple):
-    """A time of a run of which the report shows a picture."""
+    """A time of a run at which the report shows a camera picture."""
 
     name: str
     time: float  #: since the motion's start [s]
@@ -39,17 +39,17 @@ class Moment(NamedTuple):
 def moments(case: RecordedCase) -> list[Moment]:
     """Return start, largest error and end of a motion."""
     found = [Moment("start", float(case.time[0]))]
-    times, errors = (case.time, case.true_error()) if case.truth_known else case.measured_error()
+    times, distance = case.distance()
     counted = np.flatnonzero(times >= case.counted_from)
     if len(counted) and not case.sweeps:
-        found.append(Moment("largest error", float(times[counted[np.linalg.norm(errors[counted], axis=1).argmax()]])))
+        found.append(Moment("largest error", float(times[counted[distance[counted].argmax()]])))
     return [*found, Moment("end", float(case.time[-1]))]
 
 
 def camera_pictures(run: RecordedRun, origin: str, out: Path | None) -> Iterator[str]:
     """Yield the HTML elements with the pictures of every camera; nothing for a run without videos.
 
-    A video that cannot be read is a sentence, and the others are shown.
+    A sentence replaces a video that cannot be read; the other videos are shown.
 
     Raises:
         OSError: a picture cannot be written into `out`.
@@ -109,7 +109,7 @@ def _draw(panel: style.Axes, case: RecordedCase, view: CameraView, time: float) 
 
 
 class RecordedOverlay(NamedTuple):
-    """What is drawn over a picture, in pixels: columns and rows."""
+    """Drawing over a picture, in pixels: columns and rows."""
 
     tubes: Sequence[Array]  #: centre line (k, 2) of each tube, innermost first
     measured: Array  #: (2,) measured tip; NaN outside of the view
@@ -125,8 +125,9 @@ def overlay_at(case: RecordedCase, view: CameraView, time: float) -> RecordedOve
         statics: Statics = model_of(case)
         joints, force = case.of("joints")[row], case.of("force_filtered")[row]
         shape = statics.shape(statics.solve(joints, pure_force(force)))
-        ends = statics.robot.tube_poses(joints)[1] + [tube.length for tube in statics.robot.tubes]
-        lines = [view.project(shape[shape[:, 0] <= end + 1e-6, 10:13]) for end in ends.tolist()]
+        lines = [
+            view.project(shape[shape[:, 0] <= end + 1e-6, 10:13]) for end in statics.robot.tube_ends(joints).tolist()
+        ]
     except CtrError:
         lines = []
     return RecordedOverlay(lines, view.project(measured[None])[0], view.project(case.desired_tip()[row][None])[0])

@@ -10,6 +10,8 @@ from pydantic import TypeAdapter, ValidationError
 from core.robot.robot import Array
 from station.config.strict import Row, Strict
 from station.recording.run_folder import write_atomically
+from station.recording.run_outcome import known_force
+from station.regular_file import read_in
 from station.report.run import RecordedCase, ReportError, read_run
 
 CURVES_FILE = "curves.json"
@@ -40,8 +42,10 @@ class Curve(Strict):
     """tip that is compared with the desired tip"""
     error: CurveLine | None
     """distance from the desired tip [mm]; null without a path of the tip"""
-    force: CurveLine
-    """magnitude of the filtered force at the tip [N]"""
+    force: CurveLine | None
+    """magnitude of the filtered force at the tip [N]; null if it is unknown"""
+    force_unknown: str = ""
+    """axes in which the force is unknown, which are left out: "", "z", "xz" ..."""
     counted_from: float
     """time from which errors count [s]"""
     marks: tuple[CurveMark, ...] = ()
@@ -68,17 +72,18 @@ def write_curves(folder: Path) -> Path:
 def read_curves(folder: Path) -> Mapping[str, Curve] | None:
     """Return the stored curves of the run in `folder` by case; None if the file is missing or invalid."""
     try:
-        return Curves.validate_json((folder / CURVES_FILE).read_bytes())
+        return Curves.validate_json(read_in(folder, CURVES_FILE))
     except (OSError, ValidationError):
         return None
 
 
 def _curve(case: RecordedCase) -> Curve:
-    times, error = (case.time, case.true_error()) if case.truth_known else case.measured_error()
+    unknown = case.force_unknown
     return Curve(
         against="true" if case.truth_known else "measured",
-        error=None if case.sweeps else peaks(times, np.linalg.norm(error, axis=1)),
-        force=peaks(case.time, np.linalg.norm(case.of("force_filtered"), axis=1)),
+        error=None if case.sweeps else peaks(*case.distance()),
+        force=None if unknown == "xyz" else peaks(case.time, known_force(case.of, unknown)),
+        force_unknown=unknown,
         counted_from=case.counted_from,
         marks=tuple(CurveMark(time=round(time, 3), text=text) for time, text in case.marks),
     )

@@ -1,4 +1,4 @@
-"""Report kit: pages of one HTML file without network access, for the screen and for printing; folders of results."""
+"""Parts of reports: pages of one HTML file without network access, for the screen and for printing; result folders."""
 
 import base64
 import csv
@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
 
+from station.config.strict import ConfigError
 from station.recording.run_folder import write_atomically, write_json
 from station.report import style
 
@@ -21,7 +22,7 @@ REPORT_FILE = "report.html"
 #: Resolution of PNG files [pixels per inch].
 PNG_DPI = 200
 #: Lock for drawing: matplotlib's settings are global to the process, so only one report may be drawn at a time.
-_DRAWING = threading.Lock()
+DRAWING = threading.Lock()
 DOCUMENT_CSS = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #15191d; background: #fff;
@@ -69,7 +70,7 @@ def write_page(folder: Path, title: str, parts: Iterable[str]) -> Path:
     Raises:
         OSError: the file cannot be written.
     """
-    with _DRAWING, matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
+    with DRAWING, matplotlib.rc_context(style.MATPLOTLIB_SETTINGS):
         body = "\n".join(parts)
     return write_atomically(
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -85,26 +86,34 @@ def write_results(
     parts: Iterable[str],
     numbers: Mapping[str, Any],
     tables: Mapping[str, Iterable[Sequence[Any]]] = {},
+    texts: Mapping[str, str] = {},
 ) -> Path:
-    """Write a folder of results, and return the path of its report.html.
+    """Write a folder of results, which is created if it does not exist, and return the path of its report.html.
 
     Args:
-        folder: existing folder.
+        folder: folder of the results.
         title: title of the page.
         parts: HTML elements of the page.
         numbers: JSON values by file name.
         tables: rows of CSV files, with their heads, by file name.
+        texts: contents of other files, by file name.
 
     Raises:
-        OSError: a file cannot be written.
+        ConfigError: a file cannot be written.
     """
-    for name, rows in tables.items():
-        text = StringIO()
-        csv.writer(text).writerows(rows)
-        write_atomically(text.getvalue(), folder / name)
-    for name, value in numbers.items():
-        write_json(folder / name, value)
-    return write_page(folder, title, parts)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, rows in tables.items():
+            text = StringIO()
+            csv.writer(text).writerows(rows)
+            write_atomically(text.getvalue(), folder / name)
+        for name, content in texts.items():
+            write_atomically(content, folder / name)
+        for name, value in numbers.items():
+            write_json(folder / name, value)
+        return write_page(folder, title, parts)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot write results there: {error.strerror}") from None
 
 
 def page_head(title: str, sub: str = "", note: str = "") -> Iterator[str]:

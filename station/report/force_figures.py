@@ -1,6 +1,6 @@
 """Figures of a motion that presses: force against time with the contact, and the map of the palpated stiffness."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,12 +8,15 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from core.control.force_control import CONTACT
 from core.robot.robot import Array
 from station.config.motions import PalpateMotion, PressMotion
 from station.recording.press_outcome import (
+    CONTACT,
+    CONTACT_DEVIATIONS,
+    counted_text,
     desired_force,
     estimated_stiffness,
+    in_contact,
     obstacle_of,
     press_of,
     press_outcome,
@@ -23,8 +26,6 @@ from station.report import style
 from station.report.document import ReportFigure
 from station.report.run import RecordedCase, RecordedRun
 
-#: Number of standard deviations by which the estimated force must exceed zero to count as contact.
-CONTACT_DEVIATIONS = 3.0
 #: Shorter interruptions of the contact are not drawn [s].
 SHORTEST_GAP_S = 0.1
 CONTACT_LABEL = "contact, by the estimated force"
@@ -45,21 +46,11 @@ def presses(run: RecordedRun) -> Iterator[ReportFigure]:
             yield _map(case, motion)
 
 
-def in_contact(case: RecordedCase, motion: PressMotion) -> NDArray[np.bool_]:
-    """Return whether the estimated force shows contact at each tick (ticks,).
-
-    Contact is a force of `CONTACT` times the smallest desired force, and `CONTACT_DEVIATIONS` standard deviations.
-    """
-    exerted, variance = -case.of("force_filtered") @ motion.along, case.of("force_variance") @ motion.along**2
-    smallest = motion.light if isinstance(motion, PalpateMotion) else motion.force
-    return exerted > np.maximum(CONTACT * smallest, CONTACT_DEVIATIONS * np.sqrt(variance))
-
-
 def _press(case: RecordedCase, motion: PressMotion) -> ReportFigure:
     """Return the figure with the force along the direction, and the position of the tip along it."""
     figure, axes = style.stacked(["force along the\ndirection [N]", "tip along the\ndirection [mm]"], height=1.8)
     time, along = case.time, motion.along
-    contact = in_contact(case, motion)
+    contact = in_contact(case.of, motion)
     for number, (start, end) in enumerate(_spans(time, contact)):
         for each in axes:
             label = CONTACT_LABEL if number == 0 and each is axes[0] else None
@@ -76,11 +67,8 @@ def _press(case: RecordedCase, motion: PressMotion) -> ReportFigure:
     style.legend(figure, axes, columns=3)
     first = float(time[contact.argmax()]) if contact.any() else None
     found = "No contact was found." if first is None else f"First contact at {first:.2f} s."
-    when = "while the forces of a palpation are measured" if isinstance(motion, PalpateMotion) else (
-        f"from {case.counted_from:g} s on"
-    )  # fmt: skip
-    numbers = press_outcome(case.of, motion, None, 0.0, case.counted_from).get("press")
-    errors = "" if numbers is None else f" Error of the force {when}: {_errors(numbers)}."
+    numbers = (case.numbers or press_outcome(case.of, motion, None, 0.0, case.counted_from)).get("press")
+    errors = "" if numbers is None else f" Error of the force {counted_text(numbers)}: {_errors(numbers)}."
     return ReportFigure(
         f"press_{case.name}", f"Force on the obstacle{case.title_suffix}",
         f"Force of the tip on the obstacle along the direction of the press, and position of the tip along it from its"
@@ -92,7 +80,7 @@ def _press(case: RecordedCase, motion: PressMotion) -> ReportFigure:
 
 
 def _spans(time: Array, contact: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return start and end of each time of contact [s]; shorter interruptions than `SHORTEST_GAP_S` are ignored."""
+    """Return start and end of each period of contact [s]; interruptions below `SHORTEST_GAP_S` are ignored."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], contact, [False])).astype(int)))
     spans: list[tuple[float, float]] = []
     for start, end in zip(time[edges[::2]], time[edges[1::2] - 1], strict=True):
@@ -102,7 +90,7 @@ def _spans(time: Array, contact: NDArray[np.bool_]) -> list[tuple[float, float]]
     return spans
 
 
-def _errors(numbers: dict[str, Any]) -> str:
+def _errors(numbers: Mapping[str, Any]) -> str:
     parts = [
         f"{name} mean {1e3 * numbers[f'{prefix}mean_error_N']:.1f} mN, RMS {1e3 * numbers[f'{prefix}rms_error_N']:.1f}"
         " mN"
@@ -126,11 +114,11 @@ def _map(case: RecordedCase, motion: PalpateMotion) -> ReportFigure:
     figure.colorbar(drawn[0], ax=list(grid), label="stiffness [N/m]")
     missing = int(np.isnan(maps["estimated"]).sum())
     text = f"{maps['estimated'].size - missing} of {maps['estimated'].size} places have an estimate."
-    error = maps["estimated"] / maps["simulated truth"] - 1.0 if "simulated truth" in maps else np.empty(0)
-    if np.isfinite(error).any():
+    found = case.numbers.get("palpation", {})
+    if "rms_relative_error" in found:
         text += (
-            f" Error of the estimates relative to the simulated truth: RMS {100.0 * np.sqrt(np.nanmean(error**2)):.1f}"
-            f" %, largest {100.0 * np.nanmax(np.abs(error)):.1f} %."
+            " Error of the known estimates relative to the simulated truth:"
+            f" RMS {100.0 * found['rms_relative_error']:.1f} %, largest {100.0 * found['max_relative_error']:.1f} %."
         )
     return ReportFigure(
         f"stiffness_{case.name}", f"Stiffness map{case.title_suffix}",

@@ -69,31 +69,31 @@ def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: fl
     shown = (case.time >= start) & (case.time <= end)
     time = case.time[shown]
     figure, axes = style.stacked([f"$F_{axis}$ [N]" for axis in style.AXES])
-    uncertain = bool(case.names("force_variance"))  # older recordings have no variance
     filtered = case.of("force_filtered")[shown]
     style.draw_components(axes, time, case.of("force")[shown], style.SAMPLES)
-    if uncertain:
-        spread = 2.0 * np.sqrt(case.of("force_variance")[shown])
-        nth = slice(None, None, max(1, len(time) // BAND_POINTS))
-        low, high = (filtered - spread)[nth], (filtered + spread)[nth]
-        for each, lower, upper in zip(axes, low.T, high.T, strict=True):
-            each.fill_between(time[nth], lower, upper, color=style.FILTERED.colour, alpha=0.25, linewidth=0.0)
+    spread = 2.0 * np.sqrt(case.of("force_variance")[shown])
+    nth = slice(None, None, max(1, len(time) // BAND_POINTS))
+    low, high = (filtered - spread)[nth], (filtered + spread)[nth]
+    for each, lower, upper in zip(axes, low.T, high.T, strict=True):
+        each.fill_between(time[nth], lower, upper, color=style.FILTERED.colour, alpha=0.25, linewidth=0.0)
     style.draw_components(axes, time, filtered, style.FILTERED)
     if case.truth_known:
         dashed = style.TRUE._replace(dash=(0.0, (4.0, 2.0)), width=1.0)
         style.draw_components(axes, time, case.of("force_true")[shown], dashed)
     style.legend(figure, axes[:1])
-    summary = ""
-    if case.truth_known:
+    unknown = case.force_unknown
+    summary = f" The force along {', '.join(unknown)} is unknown." if unknown else ""
+    counted = shown & (case.time >= case.counted_from - 1e-9)
+    if case.truth_known and counted.any():
+        since, until = case.time[counted][[0, -1]]
         errors = (
-            f"{label} {style.slashed(rms((case.of(group) - case.of('force_true'))[shown]), '.3f')} N"
+            f"{label} {_by_axis(rms((case.of(group) - case.of('force_true'))[counted]), unknown)} N"
             for label, group in (("single samples", "force"), ("filtered", "force_filtered"))
         )
-        summary = f" RMS error in x / y / z: {', '.join(errors)}."
+        summary += f" RMS error in x / y / z from {since:.4g} to {until:.4g} s: {', '.join(errors)}."
     source = "fused from the sensors at the tubes' bases" if case.senses else "from the deflection of the tip"
-    if uncertain:
-        errors = "from the sensors' errors" if case.senses else "from the tracker's and the model's errors"
-        summary += f" The band is two standard deviations, as estimated {errors}."
+    errors = "from the sensors' errors" if case.senses else "from the tracker's and the model's errors"
+    summary += f" The band is two standard deviations, as estimated {errors}."
     return ReportFigure(
         name, f"{title}{case.title_suffix}",
         f"Components of the force {source},"
@@ -101,6 +101,12 @@ def force(case: RecordedCase, name: str, title: str, start: float = 0.0, end: fl
         f"Force in x, y and z over time.{summary}",
         figure,
     )  # fmt: skip
+
+
+def _by_axis(values: Array, unknown: str) -> str:
+    """Return a number for each axis as a text; `unknown` are axes whose number is unknown."""
+    parts = zip(style.AXES, values, strict=True)
+    return " / ".join("unknown" if axis in unknown else f"{value:.3f}" for axis, value in parts)
 
 
 def deflection(run: RecordedRun) -> Iterator[ReportFigure]:
@@ -124,7 +130,7 @@ def deflection(run: RecordedRun) -> Iterator[ReportFigure]:
 
 
 def deflection_rate(run: RecordedRun) -> Iterator[ReportFigure]:
-    """Yield the figure for one case whose inner loop uses this rate, preferably Type I on the tracker."""
+    """Yield a figure of the deflection's rate for the case `type_1`, or else for the first case."""
     case = run.case("type_1") or (run.cases[0] if run.cases else None)
     if case is not None and case.stride == 1 and (hindsight := hindsight_rate(case.of("deflection"))) is not None:
         yield _rates(case, 1e3 * hindsight)
@@ -149,7 +155,7 @@ def _rates(case: RecordedCase, hindsight: Array) -> ReportFigure:
     return ReportFigure(
         "rates", f"Rate of the deflection{case.title_suffix}",
         f"Estimates of the rate of Delta_total and the reference in hindsight, last {SHOWN_SPAN_S:g} s. {summary}"
-        " The raw difference of two ticks has all noise of the force sensors, and a separate diagram.",
+        " The raw difference of two ticks has all noise of the force sensors; it has a separate diagram.",
         f"Deflection rates in x, y and z over time. {summary}",
         figure,
     )  # fmt: skip
@@ -175,7 +181,7 @@ def load_results(run: RecordedRun) -> list[LoadResult]:
             parts = run.summary.get("cases", {}).get(crossed_name(strategy, name), {}).get("by_change", {}).values()
             if parts:
                 reached[strategy] = [part["true_max_distance_mm"] for part in parts]
-                if strategy == NO_MOTION:  # stationary joints have an error while the load acts, not after it
+                if strategy == NO_MOTION:  # stationary joints have an error only while the load acts
                     reached[strategy] = [max(reached[strategy])] * len(parts)
                 best = best or [part.get("best_possible_mm") for part in parts]
         load = merged(run.table, changes[crossed_name(next(iter(cross["strategy"])), name)])["load"]
@@ -213,7 +219,7 @@ def load_rate(run: RecordedRun) -> Iterator[ReportFigure]:
     numbers = "; ".join(_description(one) for one in (*ramps, *others))
     yield ReportFigure(
         "load_rate", "Largest error against the rate of the load",
-        "Largest distance of the true tip from its desired position, from the moment on at which the load starts to"
+        "Largest distance of the true tip from its desired position, from the moment at which the load starts to"
         " change. Best possible: joints within the speeds and accelerations of these stages, on the true tubes, with"
         " the whole course of the load known from that moment on."
         f" Smaller errors than {MIN_DRAWN_ERROR_MM:g} mm are drawn at {MIN_DRAWN_ERROR_MM:g} mm.",

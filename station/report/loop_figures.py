@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.robot.robot import Array
-from station.experiments.results import fit_step, fold
+from station.config.motions import StepMotion
+from station.config.strict import check
+from station.experiments.results import fit_step, step_response
 from station.report import style
 from station.report.document import ReportFigure
 from station.report.run import RecordedCase, RecordedRun
@@ -28,7 +30,8 @@ def steps(run: RecordedRun) -> Iterator[ReportFigure]:
     grid = figure.subplots(down, min(3, len(run.cases)), sharex=True, sharey=True, squeeze=False).ravel()
     fits = []
     for case, axes in zip(run.cases, grid, strict=False):
-        times, answer = _folded(case)
+        motion = check(StepMotion, case.settings["trajectory"], "trajectory")
+        times, answer = step_response(case.of, "tip_true" if case.truth_known else "tip_observed", motion)
         fit, rate = fit_step(times, answer), float(case.file["controller"]["k1"])
         style.draw(axes, times, answer, RESPONSE_STYLE)
         style.draw(axes, times, -np.expm1(-fit.rate * np.maximum(times - fit.dead_time, 0.0)), FIT_STYLE)
@@ -47,16 +50,6 @@ def steps(run: RecordedRun) -> Iterator[ReportFigure]:
         "Step responses; fitted rates and dead times: " + "; ".join(fits) + ".",
         figure,
     )  # fmt: skip
-
-
-def _folded(case: RecordedCase) -> tuple[Array, Array]:
-    motion = case.file["trajectory"]
-    offset = np.array(motion["offset"], dtype=float)
-    start = case.of("tip_desired")[0] - offset
-    tip = case.of("tip_true" if case.truth_known else "tip_observed")
-    answer = (tip - start) @ offset / float(offset @ offset)
-    stay = motion.get("stay")
-    return fold(case.time, answer, stay) if stay else (case.time, answer)
 
 
 def _axis(case: RecordedCase) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from station.recording.history import SWEEP_FILE
+from station.regular_file import is_regular
 from station.report import (
     camera_figures,
     document,
@@ -47,7 +48,7 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
         ConfigError, RecordingError: a file of the run cannot be read.
         ReportError: the report cannot be written.
     """
-    parts = _sweep if (folder / SWEEP_FILE).is_file() else _run
+    parts = _sweep if is_regular(folder / SWEEP_FILE) else _run
     try:
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
@@ -67,15 +68,12 @@ def _run(folder: Path, out: Path | None) -> Iterator[str]:
     run = read_run(folder)
     yield from facts.head(run)
     yield from facts.result(run)
-    yield from facts.direction_table(run)
-    yield from facts.paper_table(run)
     yield document.heading("Figures")
     if not run.cases:
         yield document.paragraph("Nothing was recorded.")
     for drawn in figures(run):
         yield document.picture(drawn, facts.origin(run), out)
     yield from camera_figures.camera_pictures(run, facts.origin(run), out)
-    yield from facts.bound_table(run)
     yield from facts.line_table(run)
     yield from facts.configuration(run)
 

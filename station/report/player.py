@@ -23,6 +23,7 @@ from core.errors import CtrError
 from core.model.solution import Solution
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot
+from station.config import palette
 from station.config.controllers import ControllerFile
 from station.config.robots import RobotFile
 from station.config.strict import check
@@ -113,12 +114,20 @@ def _page(run: RecordedRun, cases: list[dict[str, Any]]) -> str:
         "TITLE": escape(title),
         "RUN": escape(run.folder.name),
         "STYLE": (STATIC / "player.css").read_text(encoding="utf-8"),
-        "DATA": script_data({"simulated": run.simulated, "cases": cases, "videos": videos(run)}),
+        "DATA": script_data({"simulated": run.simulated, "cases": cases, "videos": videos(run), **_colours()}),
         "SCENE": (STATIC / "scene.js").read_text(encoding="utf-8"),
         "PLAYER": (STATIC / "player.js").read_text(encoding="utf-8"),
     }
     page = (STATIC / "player.html").read_text(encoding="utf-8")
     return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], page)
+
+
+def _colours() -> dict[str, Any]:
+    """Return the colours of tubes, tips in the order of `TIP_CHANNELS`, and force, with components from 0 to 1."""
+    tips = (palette.DESIRED, palette.MEASURED, palette.ESTIMATED, palette.TRUE)
+    parts = [[part / 255 for part in colour] for colour in (*palette.TUBES, *tips, palette.FORCE)]
+    count = len(palette.TUBES)
+    return {"tube_colours": parts[:count], "tip_colours": parts[count:-1], "force_colour": parts[-1]}
 
 
 def script_data(value: Any) -> str:
@@ -201,10 +210,7 @@ def _line(statics: Statics, solution: Solution) -> Iterator[Array]:
 
 
 def _controller(case: RecordedCase) -> ControllerFile:
-    """Return the controller settings of a recording, which choose the model.
-
-    An older recording does not have the key `integrator` and gets the present default.
-    """
+    """Return the controller settings of a recording that determine the model."""
     settings = case.metadata.get("settings", {}).get("controller", {})
     return ControllerFile(integrator=settings.get("integrator"), sublink=settings.get("sublink"))
 

@@ -1,6 +1,7 @@
-"""Reading of a run's folder for a report: summary, experiment's file, and telemetry rows of every case."""
+"""Read a run's folder for a report: summary, experiment's file, and telemetry rows of every case."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +11,16 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.strict import merged, read_toml
+from station.config.strict import ConfigError, merged, parse_toml
 from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.devices.interfaces import ABSENT
 from station.experiments.experiment import variants
 from station.recording.foxglove import MARK
 from station.recording.read import read_case
-from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, RECORDING_SUFFIX, SUMMARY_FILE
-from station.recording.run_outcome import desired
+from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, SUMMARY_FILE, recordings
+from station.recording.run_outcome import desired, frame_errors, motion_errors, unknown_axes
+from station.regular_file import is_regular, read_in
 
 #: Channel groups of a recording that reports and players need; other groups are not kept in memory.
 KEPT_GROUPS = frozenset((
@@ -27,7 +29,7 @@ KEPT_GROUPS = frozenset((
     "deflection", "deflection_rate_raw", "deflection_rate", "deflection_rate_exact", "delta_1", "delta_2",
     "target_followed", "target_measured", "target_offset", "target_true", "trouble", "clearance",
 ))  # fmt: skip
-#: Largest number of rows of a case in memory; of a recording of more than 33 minutes only every n-th row is kept.
+#: Largest number of rows of a case in memory; a recording of more than 33 minutes is reduced to every n-th row.
 MAX_ROWS = 1_000_000
 
 
@@ -54,7 +56,7 @@ class RecordedCase:
     start: int = 0  #: wall time of the motion's start [ns since 1970]
 
     def of(self, group: str) -> Array:
-        """Return the columns of a channel group; `tip_measured` has (ticks, 3).
+        """Return the columns of a channel group (ticks, columns), such as three for `tip_measured`.
 
         Raises:
             NoRun: the recording has no channels of this group.
@@ -87,7 +89,7 @@ class RecordedCase:
 
     @property
     def counted_from(self) -> float:
-        """Time from which errors count [s]; in older runs the settling time, even if the load starts earlier."""
+        """Time from which errors count [s]; without a summary the settling time, even if the load starts earlier."""
         return float(self.numbers.get("counted_from_s", self.file.get("settling", 0.0)))
 
     @property
@@ -97,8 +99,8 @@ class RecordedCase:
 
     @property
     def senses(self) -> bool:
-        """Whether the bench had force sensors; without them the force is that from the deflection."""
-        return not self.names("trouble") or bool((self.of("trouble")[:, 2] != ABSENT).any())
+        """Whether the rig had force sensors; without them the force is estimated from the deflection."""
+        return bool((self.of("trouble")[:, 2] != ABSENT).any())
 
     @property
     def sweeps(self) -> bool:
@@ -107,15 +109,23 @@ class RecordedCase:
 
     @property
     def moved(self) -> bool:
-        """Whether the motion of the run started; True for older recordings, which do not have this information."""
-        return all(channel.name != "phase" for channel in self.channels) or bool(
-            (self.of("phase") == Phase.MOVING).any()
-        )
+        """Whether the motion of the run started."""
+        return bool((self.of("phase") == Phase.MOVING).any())
 
     @property
     def follows(self) -> bool:
         """Whether the tip followed a target."""
         return self.file.get("trajectory", {}).get("kind") == "follow"
+
+    @property
+    def errors(self) -> Mapping[str, Any]:
+        """Errors and largest force of the summary; computed from the rows if the run ended without a summary."""
+        return self.numbers if "counted_from_s" in self.numbers else motion_errors(self.of, 0.0, self.counted_from)
+
+    @property
+    def force_unknown(self) -> str:
+        """Axes in which the estimated force is unknown: "", "z", "xz" ..."""
+        return unknown_axes(self.of)
 
     @property
     def settled_from(self) -> float:
@@ -124,11 +134,16 @@ class RecordedCase:
 
     def desired_tip(self) -> Array:
         """Return the desired tip position (ticks, 3) [m]: the setpoint, or the true target plus its offset."""
-        return desired(self.of, "target_true") if self.follows else self.of("tip_desired")
+        return desired(self.of, "target_true")
 
     def true_error(self) -> Array:
         """Return the desired tip position minus that of the simulated real robot (ticks, 3) [mm]."""
         return 1e3 * (self.desired_tip() - self.of("tip_true"))
+
+    def distance(self) -> tuple[Array, Array]:
+        """Return times (m,) [s] and distances (m,) from the desired tip [mm]: the true tip, else the measured one."""
+        times, error = (self.time, self.true_error()) if self.truth_known else self.measured_error()
+        return times, np.linalg.norm(error, axis=1)
 
     def measured_tip(self) -> tuple[Array, Array]:
         """Return measurement times (f,) [s] and measured tip positions (f, 3) [mm] of all tracker frames."""
@@ -138,11 +153,7 @@ class RecordedCase:
     def measured_error(self) -> tuple[Array, Array]:
         """Return measurement times (f,) [s] and desired minus measured tip (f, 3) [mm] of all tracker frames."""
         new = self.of("tip_new")[:, 0] > 0.0
-        at = self.of("tip_time")[new, 0]
-        if self.follows:  # target and tip were measured in the same frame
-            return at, 1e3 * (desired(self.of, "target_measured") - self.of("tip_measured"))[new]
-        setpoints = np.stack([np.interp(at, self.time, column) for column in self.of("tip_desired").T], axis=1)
-        return at, 1e3 * (setpoints - self.of("tip_measured")[new])
+        return self.of("tip_time")[new, 0], 1e3 * frame_errors(self.of, new, 0.0)
 
 
 @dataclass(frozen=True)
@@ -177,20 +188,19 @@ def read_run(folder: Path) -> RecordedRun:
         ConfigError: the experiment's file cannot be read.
         RecordingError: a recording cannot be read.
     """
-    recordings = sorted(folder.glob(f"*{RECORDING_SUFFIX}"))
-    summary_file, experiment_file = folder / SUMMARY_FILE, folder / EXPERIMENT_FILE
-    if not recordings and not summary_file.is_file():
+    found, summary_file = recordings(folder), folder / SUMMARY_FILE
+    if not found and not is_regular(summary_file):
         raise NoRun(f"{folder}: no run in this folder: it has neither a recording (.mcap) nor summary.json")
-    summary = read_json(summary_file) if summary_file.is_file() else {}
-    table = read_toml(experiment_file) if experiment_file.is_file() else {}
-    cases = [case for path in recordings if len((case := _read_case(path, table, summary)).rows)]
+    summary = read_json(summary_file) if os.path.lexists(summary_file) else {}
+    table = parse_toml(experiment_text(folder), str(folder / EXPERIMENT_FILE))
+    cases = [case for path in found if len((case := _read_case(path, table, summary)).rows)]
     order = list(summary.get("cases", {}))
     cases.sort(key=lambda case: order.index(case.name) if case.name in order else len(order))
     return RecordedRun(folder, str(summary.get("experiment", folder.name)), summary, table, tuple(cases))
 
 
 def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any]) -> RecordedCase:
-    """Return a case with the channels that reports show; of a very long recording only every n-th row."""
+    """Return a case with the channels that reports show; a very long recording is reduced to every n-th row."""
     name, found = path.stem, read_case(path, MAX_ROWS, KEPT_GROUPS)
     file = merged(table, variants(table).get(name, {}))
     numbers = summary.get("cases", {}).get(name, {})
@@ -236,6 +246,23 @@ def _motion_only(rows: Array, channels: Sequence[Channel], start: float) -> tupl
     return kept, start
 
 
+def experiment_text(folder: Path) -> str:
+    """Return the text of a run's experiment; empty if the run has none.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+    path = folder / EXPERIMENT_FILE
+    try:
+        return read_in(folder, EXPERIMENT_FILE).decode("utf-8-sig")
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not UTF-8 text; save it as UTF-8") from None
+
+
 def read_json(path: Path) -> Mapping[str, Any]:
     """Return the JSON object in a file.
 
@@ -243,8 +270,8 @@ def read_json(path: Path) -> Mapping[str, Any]:
         NoRun: the file does not exist, or has no JSON object.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        found = json.loads(read_in(path.parent, path.name).decode())
+    except (OSError, ValueError, RecursionError) as error:
         raise NoRun(f"{path}: cannot read the summary of a run: {error}") from None
     if not isinstance(found, dict):
         raise NoRun(f"{path}: must be a JSON object")

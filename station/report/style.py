@@ -107,13 +107,13 @@ def pictures(count: int, shape: float) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def finish(figure: Figure, text: str) -> None:
-    """Add a line with the origin of the data at the bottom of a figure, and fix the layout of the figure.
+def finish(figure: Figure, text: str = "") -> None:
+    """Add a line with the origin of the data, if there is a text, at the bottom of a figure, and fix its layout.
 
     SVG, PNG and PDF files get the same layout. Positions are rounded, so that the same data give the same file.
     """
     engine = figure.get_layout_engine()
-    if isinstance(engine, ConstrainedLayoutEngine):
+    if text and isinstance(engine, ConstrainedLayoutEngine):
         height = STAMP_HEIGHT_INCH / figure.get_figheight()
         engine.set(rect=(0.0, height, 1.0, 1.0 - height))
     figure.text(0.998, 0.004, text, ha="right", va="bottom", fontsize=6.5, color=GREY)
@@ -134,7 +134,7 @@ def draw(axes: Axes, times: Array, values: Array, line: LineStyle, *, label: boo
 
 
 def draw_components(axes: Sequence[Axes], times: Array, values: Array, line: LineStyle) -> None:
-    """Draw each component of `values` (m, k) over `times` (m,) on its own diagram, the first k of `axes`."""
+    """Draw each component of `values` (m, k) over `times` (m,) on a separate diagram, the first k of `axes`."""
     for each, component in zip(axes, values.T, strict=False):
         draw(each, times, component, line)
 

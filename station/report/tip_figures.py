@@ -68,21 +68,25 @@ def tracking_error(run: RecordedRun, case: RecordedCase, name: str, title: str) 
             style.bound(each, paper[axis])
         if case.counted_from > 0.0:
             each.axvspan(0.0, case.counted_from, color=style.GREY, alpha=0.10, linewidth=0.0)
-    for component, line in zip(case.of("force_filtered").T, FORCE_STYLES, strict=True):
-        style.draw(axes[3], case.time, component, line)
+    unknown = case.force_unknown
+    for axis, component, line in zip(style.AXES, case.of("force_filtered").T, FORCE_STYLES, strict=True):
+        if axis not in unknown:
+            style.draw(axes[3], case.time, component, line)
     # The scale ignores a short large error in the first seconds, which would compress the rest.
-    counted = _counted_errors(case)
+    keys = {"measured": "max_abs_error_mm", "true": "true_max_abs_error_mm"}
+    counted = {kind: case.errors[key] for kind, key in keys.items() if key in case.errors}
     for column, (axis, each) in enumerate(zip(style.AXES, axes[:3], strict=True)):
-        reach = max([float(np.abs(part[:, column]).max()) for part in counted.values()] + [paper.get(axis, 0.0)])
+        reach = max([part[column] for part in counted.values()] + [paper.get(axis, 0.0)])
         if reach > 0.0:
             each.set_ylim(-1.15 * reach, 1.15 * reach)
     style.legend(figure, axes, columns=3)
-    parts = [f"{kind} {style.slashed(np.abs(error).max(axis=0))} mm" for kind, error in counted.items()]
+    parts = [f"{kind} {style.slashed(error)} mm" for kind, error in counted.items()]
     largest = f"Largest error in x / y / z: {', '.join(parts)}." if parts else "The run ended before errors counted."
     notes = (
         f" Grey: the first {case.counted_from:g} s, in which errors do not count." if case.counted_from > 0.0 else ""
     )
     notes += " Dotted: the largest error in the paper, if it has one." if paper else ""
+    notes += f" The force along {', '.join(unknown)} is unknown and not drawn." if unknown else ""
     true = " and, for a simulated bench, minus true" if case.truth_known else ""
     return ReportFigure(
         name, f"{title}{case.title_suffix}",
@@ -90,15 +94,6 @@ def tracking_error(run: RecordedRun, case: RecordedCase, name: str, title: str) 
         f"Error in x, y and z over time, and force. {largest}",
         figure,
     )  # fmt: skip
-
-
-def _counted_errors(case: RecordedCase) -> dict[str, Array]:
-    """Return measured and true errors (n, 3) [mm] from the time on at which errors count, if there are any."""
-    at, measured = case.measured_error()
-    found = {"measured": measured[at >= case.counted_from - 1e-9]}
-    if case.truth_known:
-        found["true"] = case.true_error()[case.time >= case.counted_from - 1e-9]
-    return {kind: error for kind, error in found.items() if len(error)}
 
 
 def strategies(run: RecordedRun) -> Iterator[ReportFigure]:
@@ -251,9 +246,7 @@ def overview(run: RecordedRun) -> Iterator[ReportFigure]:
 
 
 def _clearance(case: RecordedCase) -> Iterator[ReportFigure]:
-    """Yield the clearance of the tubes from the nearest region; nothing if none was nearer than 100 mm."""
-    if not any(channel.name == "clearance" for channel in case.channels):
-        return  # recorded by an earlier version
+    """Yield the clearance of the tubes from the nearest region; nothing if no region was nearer than 100 mm."""
     clearance = 1e3 * case.of("clearance")[:, 0]
     if clearance.min() >= 1e3 * MAX_CLEARANCE_M - RESOLUTION_MM:
         return
@@ -263,7 +256,7 @@ def _clearance(case: RecordedCase) -> Iterator[ReportFigure]:
     smallest = f"Smallest {clearance.min():.2f} mm at {case.time[clearance.argmin()]:.2f} s."
     yield ReportFigure(
         f"clearance_{case.name}", f"Clearance from regions{case.title_suffix}",
-        f"Distance of the tubes from the nearest region less its margin, by the loaded model that is bent to the"
+        f"Distance of the tubes from the nearest region minus its margin, by the loaded model that is bent to the"
         f" observed tip. {smallest}", f"Clearance over time. {smallest}", figure,
     )  # fmt: skip
 

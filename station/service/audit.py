@@ -12,9 +12,12 @@ import json
 import os
 import threading
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
+from io import TextIOWrapper
 from pathlib import Path
+from queue import Full, Queue
 
 from core.errors import CtrError
 from core.robot.robot import Array
@@ -22,6 +25,7 @@ from station.config.strict import Strict
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.telemetry import Channels
+from station.regular_file import open_regular, open_to_append
 
 
 class RotatingLog:
@@ -31,16 +35,17 @@ class RotatingLog:
         """Open the file, rotate it at `limit` [bytes] and keep `kept` old files.
 
         Raises:
-            OSError: the file cannot be written.
+            OSError: the file cannot be written, or is a link, a FIFO or a device.
         """
         self._path, self._limit, self._kept = path, limit, kept
-        self._file = path.open("a", encoding="utf-8")
+        self._file = open_to_append(path)
 
     def add(self, line: str) -> None:
-        """Write a line; the line is lost if the disk is full."""
+        """Write a line; the line is lost if the disk is full. A file that was removed is created again."""
         with contextlib.suppress(OSError):
-            self._file.write(line + "\n")
-            self._file.flush()
+            if not self._is_in_place():
+                self._open_again()
+            self._file.write(f"{line}\n".encode())
             if self._file.tell() >= self._limit:
                 self._rotate()
 
@@ -49,7 +54,7 @@ class RotatingLog:
         lines: deque[str] = deque(maxlen=count)
         for path in (self._older(1), self._path):
             # The older file may not exist yet.
-            with contextlib.suppress(OSError), path.open(encoding="utf-8", errors="replace") as file:
+            with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), "utf-8", "replace") as file:
                 lines.extend(file)
         return list(reversed(lines))
 
@@ -58,16 +63,28 @@ class RotatingLog:
         with contextlib.suppress(OSError):
             self._file.close()
 
+    def _is_in_place(self) -> bool:
+        """Return whether the open file still has its name; another station may have moved it, or a user removed it."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self._path.lstat())
+        except OSError:
+            return False
+
+    def _open_again(self) -> None:
+        """Open the file again; if that fails, for example because its folder is missing, keep the old file open."""
+        with contextlib.suppress(OSError):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            before, self._file = self._file, open_to_append(self._path)
+            before.close()
+
     def _rotate(self) -> None:
-        mine = os.fstat(self._file.fileno())
         # Another station with the same folder may already have rotated the file.
-        if self._path.exists() and os.path.samestat(mine, self._path.stat()):
+        if self._is_in_place():
             for number in range(self._kept, 0, -1):
                 newer = self._path if number == 1 else self._older(number - 1)
-                if newer.exists():
+                if os.path.lexists(newer):
                     newer.replace(self._older(number))
-        rotated, self._file = self._file, self._path.open("a", encoding="utf-8")
-        rotated.close()
+        self._open_again()
 
     def _older(self, number: int) -> Path:
         return self._path.with_name(f"{self._path.stem}.{number}.jsonl")
@@ -76,6 +93,9 @@ class RotatingLog:
 AUDIT_FILE, REFUSALS_FILE = "audit.jsonl", "refused.jsonl"
 #: Size of a log file at which a new file is started [bytes], and number of old files that are kept.
 MAX_FILE_BYTES, KEPT_FILES = 2_000_000, 4
+#: Longest time that `write` waits for the disk [s]; largest number of entries that wait for a slow disk; longest time
+#: that `close` and `tail` wait until these entries are written [s].
+DISK_PATIENCE_S, MAX_WAITING, CLOSE_PATIENCE_S = 0.2, 10_000, 2.0
 #: Length at which the text of one field of an entry is cut [characters].
 MAX_FIELD_CHARS = 500
 
@@ -100,7 +120,11 @@ class Entry(Strict):
 
 
 class Audit:
-    """Audit log in one folder; its methods are thread-safe."""
+    """Audit log in one folder; its methods are thread-safe.
+
+    A separate thread writes, so that no request waits for a disk that does not answer. Usually an entry has been
+    written when `write` returns.
+    """
 
     def __init__(self, folder: Path, limit: int = MAX_FILE_BYTES) -> None:
         """Open the log and create its folder if necessary.
@@ -108,7 +132,6 @@ class Audit:
         Raises:
             AuditError: the folder or the file cannot be written, or the folder's name is not valid UTF-8.
         """
-        self._lock = threading.Lock()
         try:
             str(folder.absolute()).encode()
             folder.mkdir(parents=True, exist_ok=True)
@@ -121,6 +144,12 @@ class Audit:
             ) from None
         except OSError as error:
             raise AuditError(f"{folder / AUDIT_FILE}: the audit log cannot be written: {error.strerror}") from None
+        self._lock = threading.Lock()  # protects the files; only the thread and `tail` use it
+        self._waiting: Queue[Callable[[], None]] = Queue(MAX_WAITING)
+        self._slow = self._closed = False
+        # The end of the interpreter does not wait for a daemon thread.
+        self._thread = threading.Thread(target=self._work, name="audit", daemon=True)
+        self._thread.start()
 
     def write(self, who: str, what: str, where: str, outcome: str) -> None:
         """Add an executed request or an event.
@@ -138,6 +167,9 @@ class Audit:
 
         The clock may have been set back: entries with a time in the future count as old.
         """
+        caught_up = threading.Event()
+        if not self._closed and self._submit(caught_up.set):
+            caught_up.wait(CLOSE_PATIENCE_S)
         with self._lock:
             lines = [log.last(count) for log in (self._done, self._refused)]
         entries = [entry for log in lines for line in log if (entry := _entry(line)) is not None]
@@ -146,16 +178,49 @@ class Audit:
         return sorted(entries, key=lambda one: (whens[one.time] <= now, whens[one.time]), reverse=True)[:count]
 
     def close(self) -> None:
-        """Close the log files."""
-        with self._lock:
-            self._done.close()
-            self._refused.close()
+        """Write the waiting entries and close the log files, unless the disk does not answer."""
+        if not self._closed:
+            self._closed = True
+            self._submit(self._end)
+            self._thread.join(CLOSE_PATIENCE_S)
 
     def _add(self, log: RotatingLog, who: str, what: str, where: str, outcome: str) -> None:
         fields = {"who": who, "what": what, "where": where, "outcome": outcome}
         entry = Entry(time=_now(), **{key: text[:MAX_FIELD_CHARS] for key, text in fields.items()})
+        line, written = json.dumps(entry.model_dump(), ensure_ascii=True), threading.Event()
+
+        def write() -> None:
+            with self._lock:
+                log.add(line)
+            written.set()
+
+        if not self._closed and self._submit(write) and not self._slow:
+            self._slow = not written.wait(DISK_PATIENCE_S)
+
+    def _submit(self, work: Callable[[], None]) -> bool:
+        """Queue work for the thread; return whether there was room for it."""
+        try:
+            self._waiting.put_nowait(work)
+        except Full:
+            return False
+        return True
+
+    def _work(self) -> None:
+        with contextlib.suppress(_EndedError):
+            while True:
+                self._waiting.get()()
+                if self._waiting.empty():
+                    self._slow = False
+
+    def _end(self) -> None:
         with self._lock:
-            log.add(json.dumps(entry.model_dump(), ensure_ascii=True))
+            self._done.close()
+            self._refused.close()
+        raise _EndedError
+
+
+class _EndedError(Exception):
+    """The log has been closed."""
 
 
 def _entry(line: str) -> Entry | None:
@@ -175,7 +240,7 @@ STATION, CONTROL_LOOP = "station", "control loop"
 #: Folder of the files with the last second of telemetry, number of rows in a file (one second at 500 Hz), and number
 #: of files that are kept.
 LAST_SECONDS_FOLDER, KEPT_ROWS, KEPT_SECONDS_FILES = "last_seconds", 500, 20
-#: States that are caused by a failure; for these a file is written.
+#: States that a failure causes; the last second of telemetry before them is written to a file.
 FAILURE_STATES = (State.HOLD, State.FAULT)
 
 
@@ -200,7 +265,7 @@ class FlightRecorder:
         self._thread.submit(self._write, state, cause, rows, self._count)
 
     def note(self, what: str, outcome: str) -> None:
-        """Add an entry about another event to the audit log without waiting for the disk."""
+        """Add an event that is no change of state to the audit log, without waiting for the disk."""
         if self._audit is not None:
             self._thread.submit(self._audit.write, STATION, what, CONTROL_LOOP, outcome)
 
@@ -216,9 +281,9 @@ class FlightRecorder:
             path = next(path for name in names if not (path := self._folder / LAST_SECONDS_FOLDER / name).exists())
             try:
                 _keep(path, rows, self._channels, cause)
-                kept = f" (the last second before it: {path.name})"
+                kept = f" (telemetry of the last second before it: {path.name})"
             except OSError as error:
-                kept = f" (the last second before it could not be kept: {error.strerror})"
+                kept = f" (telemetry of the last second before it cannot be written: {error.strerror})"
         if self._audit is not None:
             self._audit.write(STATION, f"state {state.name}", CONTROL_LOOP, f"{cause}{kept}".strip())
 

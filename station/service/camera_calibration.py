@@ -1,6 +1,6 @@
-"""Calibration of the station's cameras on the page: it takes pictures of a board by itself until they suffice.
+"""Calibration of the station's cameras: it takes pictures of a board automatically until they suffice.
 
-A person holds the board, or the virtual lab shows one. A picture counts if the board was at rest and is at a new place.
+A person holds the board, or the virtual lab shows one. A picture counts if the board is at rest and in a new pose.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from station.calibration.files import carry_over, new_folder
 from station.camera.host import CameraHost
 from station.camera.messages import CameraPicture, ShowBoard
 from station.config.strict import Strict
-from station.control.bench_calibration import CAMERAS_FILE
+from station.control.calibrated_robot import CAMERAS_FILE
 from station.control.states import State
 from station.recording.run_folder import write_atomically
 from station.service.permits import RefusedError
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 #: Interval between two searches for the board [s].
 INTERVAL_S = 0.2
-#: Largest motion of the corners between two pictures of a board at rest, and smallest distance from the corners of all
-#: earlier pictures, as fractions of the picture's width.
+#: Largest motion of the board's corners between two pictures of a board at rest, and smallest distance of the corners
+#: of a new pose from those of every earlier picture; both are fractions of the picture's width.
 REST, NEW_PLACE = 0.0015, 0.03
-#: Number of pictures of each camera, and of pairs, that suffice: more than the fewest that determine a result.
+#: Numbers of pictures of each camera, and of pairs of pictures, that suffice; a result needs fewer.
 ENOUGH_PICTURES, ENOUGH_PAIRS = 20, 12
 #: Largest number of pictures of a session; further ones hardly improve the result.
 MAX_PICTURES = 120
@@ -42,7 +42,7 @@ MAX_PICTURES = 120
 POSE_S = 1.0
 #: Largest difference between the exposures of two cameras' pictures that form a pair [s].
 PAIR_S = 0.2
-#: Time after which a calibration that nobody finishes is cancelled [s].
+#: Time after which an unfinished calibration is cancelled [s].
 MAX_TIME_S = 1200.0
 
 
@@ -52,18 +52,18 @@ class BoardStage(StrEnum):
     LOOKING = "looking"  #: takes pictures
     SOLVING = "solving"
     DONE = "done"
-    ENDED = "ended"  #: by the operator, or by an error
+    ENDED = "ended"  #: ended by the operator, or by an error
 
 
 class CameraBoardState(Strict):
-    """What one camera has seen of the board."""
+    """Pictures and corners of the board that one camera has found."""
 
     pictures: int
-    """pictures that count"""
+    """number of pictures that count for the calibration"""
     corners: tuple[tuple[float, float], ...]
     """column and row of the corners in the newest picture [pixel]"""
     coverage: tuple[tuple[bool, ...], ...]
-    """whether each part of the picture, in rows, has had a corner"""
+    """for each cell of the picture, row by row: whether a corner was found in it"""
 
 
 class BoardState(Strict):
@@ -78,7 +78,7 @@ class BoardState(Strict):
     instruction: str
     """what to do next"""
     result: tuple[str, ...] = ()
-    """the result in words, or the reason why there is none yet"""
+    """human-readable result, or the reason why there is none yet"""
     folder: str = ""
     """folder of the result, for the key `calibration` of the station file; empty without a result"""
 
@@ -97,7 +97,7 @@ class CameraCalibration:
         return None if self._session is None else self._session.state
 
     def start(self, names: Sequence[str], square: float) -> None:
-        """Start to take pictures of a board with squares of a side [m] with one camera or with two.
+        """Start to take pictures of a board, whose squares have the side `square` [m], with one or two cameras.
 
         Raises:
             RefusedError: a calibration or a run is active, or there is no such camera.
@@ -145,12 +145,12 @@ class CameraCalibration:
 
 
 class _Session:
-    """One calibration."""
+    """One calibration of cameras, with its thread."""
 
     def __init__(self, supervisor: Supervisor, folder: Path, hosts: Sequence[CameraHost], square: float) -> None:
         self.finish, self.cancel = threading.Event(), threading.Event()
         self._supervisor, self._folder, self._hosts, self._square = supervisor, folder, hosts, square
-        self._number = 0  # of pictures that count
+        self._number = 0  # number of pictures that count
         empty = CameraBoardState(pictures=0, corners=(), coverage=())
         self.state = BoardState(
             stage=BoardStage.LOOKING, cameras={host.name: empty for host in hosts}, pairs=0, enough=False,
@@ -260,7 +260,8 @@ class _Session:
         pose = bench.cameras[self._hosts[0].name].view
         result: CamerasResult = calibrate_cameras(pictures, self._square, None if pose is None else pose[1])
         folder = new_folder(self._folder, f"cameras-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
-        write_atomically(result.toml, folder / CAMERAS_FILE)
+        made = f"'calibrate cameras' of {datetime.now().astimezone().isoformat(timespec='seconds')}, {bench.title}"
+        write_atomically(result.toml(bench.robot.name, made), folder / CAMERAS_FILE)
         if bench.calibration is not None and bench.calibration.folder is not None:
             with contextlib.suppress(CtrError):
                 carry_over(bench.calibration.folder, folder)
@@ -274,7 +275,7 @@ class _Watcher:
         from station.camera.lens_calibration import Pictured
 
         self.host, self._corners = host, corners
-        self.pictured: Pictured = Pictured([], (host.camera.width, host.camera.height))
+        self.pictured: Pictured = Pictured([], (host.camera.width, host.camera.height), host.camera.device)
         self.time = 0.0  #: exposure of the newest picture [s]
         self._picture: CameraPicture | None = None
         self._numbers: tuple[int, ...] = ()
@@ -290,7 +291,7 @@ class _Watcher:
 
     @property
     def rests(self) -> bool:
-        """Whether the board has not moved since the picture before the newest one."""
+        """Whether the board was at rest between the last two pictures."""
         moved = self._distance(self._before)
         return moved is not None and moved < REST * self.pictured.size[0]
 
@@ -311,7 +312,7 @@ class _Watcher:
         self._numbers = tuple(numbers.tolist())
 
     def is_new(self) -> bool:
-        """Return whether the board is at another place than in every picture that counts."""
+        """Return whether the pose of the board differs from that in every picture that counts."""
         if not self.sees:
             return False
         for view in self.pictured.views:
@@ -328,7 +329,7 @@ class _Watcher:
             self.pictured.views.append(View(name, np.array(self._numbers, np.int64), self._pixels))
 
     def missing(self) -> str:
-        """Return what to do for a result; empty if the pictures suffice."""
+        """Return what the operator must do next; empty if the pictures suffice."""
         from station.camera.lens_calibration import MIN_COVERAGE, coverage
 
         views, name = self.pictured.views, self.host.name
@@ -358,7 +359,7 @@ class _Watcher:
         )
 
     def _distance(self, before: Mapping[int, Array]) -> float | None:
-        """Return the mean distance of the corners from earlier ones [pixel]; None: too few are the same."""
+        """Return the mean distance of the corners from earlier ones [pixel]; None: fewer than four are in both."""
         common = [(pixel, before[number]) for number, pixel in zip(self._numbers, self._pixels, strict=True)
                   if number in before]  # fmt: skip
         if len(common) < 4:

@@ -1,4 +1,4 @@
-"""What the page draws over a camera's picture: the model's tubes, and the measured and the desired tip, in pixels.
+"""Overlay of a camera's picture: the model's tubes, and the measured and the desired tip, in pixels.
 
 The overlay belongs to the time of the picture, not to the present: a frame arrives tens of milliseconds after its
 exposure, and the robot moves meanwhile.
@@ -39,9 +39,9 @@ class CameraOverlay(Strict):
     reason: str
     """why there is no overlay; empty if there is one"""
     tubes: tuple[tuple[Pixel, ...], ...] = ()
-    """centre line of each tube by the model, innermost tube first"""
+    """centre line of each tube as the model computes it, innermost tube first"""
     tip_measured: Pixel | None = None
-    """tip by the tracker; null: not measured now, or outside of the camera's view"""
+    """tip that the tracker has measured; null: not measured now, or outside of the camera's view"""
     tip_desired: Pixel | None = None
     """desired tip during a motion; null: the tip follows no path"""
 
@@ -56,7 +56,7 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
     if len(rows) == 0 or status.age > STALE_AFTER_S:
         return _none(camera, "the station has no current telemetry")
     of, row = supervisor.channels.of, rows[len(rows) // 2]
-    # A tracker's frame arrives late: of the rows around the exposure the one whose measurement is nearest to it counts.
+    # A tracker's frame arrives late, so take the tip from the row whose measurement time is nearest to the exposure.
     times, measured = of(rows, "time")[:, 0], of(rows, "tip_time")[:, 0]
     tip = of(rows, "tip_measured")[int(np.argmin(np.abs(measured - times[len(rows) // 2])))]
     stale = stale_groups(supervisor.channels, row)
@@ -77,7 +77,7 @@ def overlay(supervisor: Supervisor, camera: CameraFile, exposed: float) -> Camer
 
 
 def rows_at(ring: Ring, exposed: float) -> Array:
-    """Return the rows (n, channels) of telemetry around a time of the station's clock [s]; the middle one is at it."""
+    """Return the rows (n, channels) of telemetry around the time `exposed` [s], which is that of the middle row."""
     ticks = round((float(ring.numbers[HEARTBEAT]) - exposed) / PERIOD_S)
     back = min(max(ticks, 0), RING_ROWS - 2 * MEAN_ROWS)
     half = min(MEAN_ROWS // 2, max(back, 1))
@@ -92,10 +92,9 @@ def _none(camera: CameraFile, reason: str) -> CameraOverlay:
 def _tubes(supervisor: Supervisor, view: CameraView, joints: Array, force: Array) -> tuple[tuple[Pixel, ...], ...]:
     statics, robot = supervisor.statics, supervisor.robot
     shape = statics.shape(statics.solve(joints, pure_force(force)))
-    ends = robot.tube_poses(joints)[1] + [tube.length for tube in robot.tubes]
     arc, pixels = shape[:, 0], view.project(shape[:, 10:13])
     lines: list[tuple[Pixel, ...]] = []
-    for end in ends.tolist():
+    for end in robot.tube_ends(joints).tolist():
         line = pixels[: int(np.searchsorted(arc, end + 1e-6))]
         lines.append(tuple(_rounded(one) for one in line[np.isfinite(line).all(axis=1)]))
     return tuple(lines)

@@ -50,7 +50,7 @@ class ContactReport(NamedTuple):
 
 
 def estimate_contact(statics: Statics, channels: Channels, rows: Array) -> ContactReport | None:
-    """Return load and contact from half a second of telemetry (m, channels) in slow motion; None for too few rows.
+    """Return load and contact from half a second of telemetry (m, channels) of a slow motion; None: too few rows.
 
     Raises:
         CtrError: the model has no shape under this load.
@@ -96,7 +96,7 @@ def _error(values: Array, floor: float) -> float:
 WINDOW_ROWS, MAX_WINDOW_S = 250, 0.6
 #: Largest motion of a joint during one evaluation [rad, m], that is 10 deg/s and 10 mm/s.
 MAX_JOINT_MOTION = {"rotation": np.deg2rad(5.0), "translation": 5e-3}
-#: Largest change of the mean force between fifths of one evaluation [N], because the position of a
+#: Largest change of the mean force between five equal parts of an evaluation [N]; the position of a
 #: swinging load would be estimated wrongly.
 MAX_FORCE_CHANGE_N = 0.05
 #: Smallest force that can be reported as a contact [N]; a smaller one may be drift of the sensors since the tare.

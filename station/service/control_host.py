@@ -6,16 +6,17 @@ import threading
 import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from core.errors import CtrError
 from station.control.child_process import ChildProcess
+from station.control.commands import CommandMessage, ControlCommand, Hold, Reply, Reset, Stop
 from station.control.driver_guard import driver_in_call
-from station.control.messages import Command, CommandRefused, DeviceReport, Reply, StateNotice
+from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import run_control
 from station.control.realtime import request_fifo
 from station.control.ring import DRIVEN, DRIVER_IN_CALL, HEARTBEAT, Ring
-from station.control.states import RefusedError, Transition
+from station.control.states import RefusedError
 from station.devices.config import BenchFile
 from station.service.fallback_stop import NO_STAGES, PRESS, PRIORITY, FallbackStop, StopOutcome
 from station.service.permits import Permit
@@ -23,8 +24,8 @@ from station.service.station_file import Rig
 
 #: Longest time for the control process to answer a command [s]; after it the process counts as hung.
 REPLY_TIMEOUT_S = 1.0
-#: Number of short waits that `REPLY_TIMEOUT_S` is divided into. A delay of the station process itself uses up only one
-#: of these waits, so the process still reads an answer that has arrived meanwhile.
+#: Number of short waits that `REPLY_TIMEOUT_S` is divided into. A delay of the station process uses up only one of
+#: these waits, so that this process still reads an answer that has arrived meanwhile.
 ANSWER_SLICES = 20
 #: Longest time for the control process to end after the request to end [s]; after it the process is killed.
 EXIT_TIMEOUT_S = 3.0
@@ -115,7 +116,7 @@ class ControlHost:
         """Process ID of the control process."""
         return self._child.pid
 
-    def send_command(self, what: Any, permit: Permit | None = None, **about: Any) -> None:
+    def send(self, command: ControlCommand, permit: Permit | None = None) -> None:
         """Send a command and wait for its answer; a command with a permit is sent only while the permit is valid.
 
         Raises:
@@ -124,14 +125,14 @@ class ControlHost:
             RefusedError: the state does not allow the command, or the process has ended.
         """
         deadline = self._clock.now() + REPLY_TIMEOUT_S
-        until = math.inf if what in (Transition.STOP, Transition.HOLD) else deadline
-        command = Command(next(self._numbers), what, until=until, **about)
+        until = math.inf if isinstance(command, Stop | Hold) else deadline
+        message = CommandMessage(next(self._numbers), command, until)
         # A reset needs no generation: a later STOP follows it through the same pipe.
-        if permit is not None and what is not Transition.RESET:
-            command = command._replace(until=min(until, permit.until), generation=permit.generation)
-        silent = NoReply(f"the control process did not answer '{what}' within {REPLY_TIMEOUT_S:g} s")
+        if permit is not None and not isinstance(command, Reset):
+            message = message._replace(until=min(until, permit.until), generation=permit.generation)
+        silent = NoReply(f"the control process did not answer '{command.name}' within {REPLY_TIMEOUT_S:g} s")
         with self._answered:
-            self._waiting.add(command.number)
+            self._waiting.add(message.number)
         try:
             # Another thread may keep this lock for long, because a hung process does not empty a full pipe.
             if not self._sending.acquire(timeout=self._left(deadline)):
@@ -139,8 +140,8 @@ class ControlHost:
             gone = RefusedError("the control process has ended; reset to restart it")
             try:
                 if permit is not None:
-                    permit.check(what)
-                self._child.pipe.send(command)
+                    permit.commit(command.name)
+                self._child.pipe.send(message)
             except OSError:
                 raise gone from None
             finally:
@@ -148,17 +149,17 @@ class ControlHost:
             with self._answered:
                 for _ in range(math.ceil(ANSWER_SLICES * (deadline - self._clock.now()) / REPLY_TIMEOUT_S)):
                     slice_time = self._clock.real(REPLY_TIMEOUT_S / ANSWER_SLICES)
-                    if self._answered.wait_for(lambda: self._ended or command.number in self._replies, slice_time):
+                    if self._answered.wait_for(lambda: self._ended or message.number in self._replies, slice_time):
                         break
-                if command.number not in self._replies:
+                if message.number not in self._replies:
                     raise gone if self._ended else silent
-                refused = self._replies.pop(command.number)
+                refused = self._replies.pop(message.number)
         finally:
             with self._answered:
-                self._waiting.discard(command.number)
+                self._waiting.discard(message.number)
         if refused:
             if permit is not None:
-                permit.check(what)  # raises with the name of the STOP or reset that came in between
+                permit.check(command.name)  # raises with the name of the STOP or reset that came in between
             raise RefusedError(refused)
 
     def stop(self, cause: str = "stopped by the operator") -> StopOutcome:
@@ -169,11 +170,11 @@ class ControlHost:
         """
         deadline = self._clock.now() + STOP_REPLY_TIMEOUT_S
         try:
-            self.send_command(Transition.STOP, cause=cause)
+            self.send(Stop(cause=cause))
             return NO_STAGES
         except NoReply as error:
             if not self.ticking:
-                return StopOutcome(True, f"{error}: it is starting and executes the stop first")
+                return StopOutcome(True, f"{error}: it is starting and will execute the stop first")
             return self._stop_instead(f"{error} and was ended", deadline)
         except RefusedError as error:
             if self.alive and not self._ended:
@@ -187,7 +188,7 @@ class ControlHost:
         """Send a command that ends a motion in HOLD; do not wait for its answer."""
         if self._sending.acquire(blocking=False):
             try:
-                self._child.send(Command(next(self._numbers), Transition.HOLD, cause=cause))
+                self._child.send(CommandMessage(next(self._numbers), Hold(cause)))
             finally:
                 self._sending.release()
 
@@ -206,7 +207,7 @@ class ControlHost:
         self._closing = True
         if self.alive and self.ticking:
             try:
-                self.send_command(Transition.STOP)
+                self.send(Stop())
             except RefusedError:
                 self._child.kill()  # a process that does not answer cannot stop the stages
         self._child.end(self._clock.real(EXIT_TIMEOUT_S))

@@ -112,7 +112,7 @@ class FallbackStop:
             self._release()
             try:
                 stopped = self._stopped()
-            except BaseException:  # raised when the text of the driver's exception cannot be read
+            except BaseException:  # even the text of the driver's exception may raise
                 stopped = StopOutcome(False, f"driver '{self._driver}' could not stop the stages: {PRESS}")
             self._reserve()
             attempt.set_result(stopped)
@@ -132,7 +132,7 @@ class FallbackStop:
         text = _shown(result) if isinstance(result, str) else ""
         if not text:
             what = "an empty text" if isinstance(result, str) else f"{type(result).__name__} instead of a text"
-            why = f"the emergency_stop of {name} returned {what}, no evidence that the stages stop"
+            why = f"the emergency_stop of {name} returned {what}, which is no evidence of a stop"
             return StopOutcome(False, f"{why}: {PRESS}")
         return StopOutcome(True, text if self._driver in BUILT_IN_DRIVERS["stages"] else f"{name} reports: {text}")
 

@@ -2,7 +2,7 @@
 
 A case for another robot is refused. A case for another lab or calibration runs on the lab and calibration of this
 station; a warning before the start, and in the recording, reports the deviation. The path to a joint-space pose is
-checked for snaps. In place of a motion that cannot be followed a slower or smaller one is suggested.
+checked for snaps. If a motion cannot be followed, a slower or smaller motion is suggested.
 """
 
 import bisect
@@ -17,7 +17,10 @@ from pydantic import ValidationError
 from core.control.controller_settings import Controller
 from core.control.force_control import OVERSHOOT, Press
 from core.control.reachability import SolvedConfiguration, check_pose
+from core.control.tip_motion import Aim, move_tip
 from core.errors import CtrError, DescriptionError, PoseError
+from core.model.fold import margin_of_worst_tubes
+from core.model.solution import pure_force
 from core.model.statics import Solution, Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
@@ -32,6 +35,7 @@ from station.config.motions import (
     TipMotion,
     WaypointsMotion,
 )
+from station.config.regions import MeshRegion, RegionFile
 from station.config.robots import named_pose
 from station.config.strict import ConfigError
 from station.config.units import format_quantity
@@ -45,21 +49,32 @@ def incompatibility(case: Case, bench: Rig) -> str:
     """Return why this station cannot run a case; empty when it can run it."""
     if case.robot != bench.robot:
         name = bench.robot.name
-        other = f"this station has '{name}'" if case.robot.name != name else "this station's robot of that name differs"
-        return f"for robot '{case.robot.name}'; {other}: end it and start `ctr-station serve --robot {case.file.robot}`"
+        other = f"this station has '{name}'" if case.robot.name != name else "this station's robot of this name differs"
+        return f"for robot '{case.robot.name}'; {other}: restart it with `ctr-station serve --robot {case.file.robot}`"
     try:
         case.file.controller.check_devices(bench.present)
     except DescriptionError as error:
         return str(error)
-    if unknown := [one.name for one in case.file.keep_out if one not in bench.keep_out]:
-        return f"the station does not know its region '{unknown[0]}'; add the case's [[keep_out]] to the station's file"
+    for one in case.file.keep_out:
+        if one not in bench.keep_out:
+            return _unknown_region(one, bench)
     if case.orders.follow is not None and (missing := missing_target(bench)):
         return missing
     if excessive := excessive_force(case.orders.press, bench):
         return excessive
     if case.file.faults and bench.devices is not None:
-        return "its faults are for the virtual lab's devices; this station has real devices"
+        return "its faults need simulated devices, but this station has real devices; run it in a virtual lab"
     return ""
+
+
+def _unknown_region(region: RegionFile, bench: Rig) -> str:
+    """Return why a case's region is not one of this station's regions."""
+    if isinstance(region, MeshRegion) and any(one.model_dump() == region.model_dump() for one in bench.keep_out):
+        return (
+            f"{region.file} of its region '{region.name}' has changed since the start of the station, which still uses"
+            " the earlier surface; restart the station to use the present one"
+        )
+    return f"the station does not know its region '{region.name}'; add the case's `[[keep_out]]` to the station's file"
 
 
 def missing_target(bench: Rig) -> str:
@@ -67,7 +82,7 @@ def missing_target(bench: Rig) -> str:
     if bench.can_track_target:
         return ""
     how = "`serve --lab breathing` has one" if bench.devices is None else "name its coil in devices.tracker.target"
-    return f"it follows a target, and this station's tracker has no second coil for one: {how}"
+    return f"it follows a target, but this station's tracker has no second coil for a target: {how}"
 
 
 def excessive_force(press: Press | None, bench: Rig) -> str:
@@ -77,7 +92,7 @@ def excessive_force(press: Press | None, bench: Rig) -> str:
     return (
         f"a desired force of {press.force:.3g} N is above {bench.max_desired_force:.3g} N: at the contact the force may"
         f" exceed it by {100 * OVERSHOOT:.0f} %, and the motion ends in HOLD at {bench.max_force:.3g} N"
-        f" ({bench.robot.largest_force().reason})"
+        f" ({bench.best_known_robot.largest_force().reason})"
     )
 
 
@@ -98,7 +113,9 @@ def deviations_from_case(case: Case, bench: Rig) -> tuple[str, ...]:
     return tuple(found)
 
 
-#: Interval between two checked poses of a path, as the longest travel time of a joint at top speed [s].
+#: Largest distance of a displaced tip from its goal [m], a tenth of the smallest step of the page.
+DISPLACEMENT_TOLERANCE_M = 1e-5
+#: Interval between two checked poses of a path: longest travel time of a joint at top speed [s].
 PATH_STEP_S = 0.1
 #: Largest error of the tip position that the Jacobian predicts from one checked pose to the next [m]; a larger error
 #: is a snap. The curvature of a valid path causes a tenth of this error.
@@ -134,6 +151,27 @@ def goto_joints(bench: Rig, target: Array, title: str) -> StartRequest:
     return StartRequest(task, title, load=None, recorded=False)
 
 
+def displaced_joints(bench: Rig, joints: Array, force: Array, offset: Array, field: str = "tip") -> Array:
+    """Return joint positions (n,) near `joints` (n,) [rad or m] that displace the model's tip by `offset` (3,) [m].
+
+    `force` (3,) acts on the tip [N]. The joints stay inside their travel and the order of the tubes. An error names the
+    request's `field` first.
+
+    Raises:
+        ConfigError: the tip cannot go there.
+    """
+    controller = bench.controlled(bench.controller)
+    at = controller.statics.solve(joints, pure_force(force))
+    aim = Aim(at.tip + offset, DISPLACEMENT_TOLERANCE_M, at.wrench)
+    at, distance, reason = move_tip(controller.statics, controller.limits, controller.limits.required_order, at, aim)
+    if reason:
+        raise ConfigError(
+            f"{field}: the tip cannot move there, it would end {distance:.4f} m away ({reason}); choose a nearer place"
+            " or another direction"
+        )
+    return at.joints
+
+
 def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
     """Refuse a path from `joints` (n,) [rad or m] on which the tubes would snap, or which leaves a limit.
 
@@ -145,9 +183,9 @@ def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
     task, statics = start.task, start.task.controller.statics
     limits, inside = task.controller.limits, False
     assert task.start is not None, "a motion to a pose needs a target"  # noqa: S101
-    travel, minimum = task.start - joints, bench.margins.stability
+    travel, uncertainty = task.start - joints, bench.margins.uncertainty
     steps = max(1, math.ceil(np.abs(travel / task.controller.limits.speed).max() / PATH_STEP_S))
-    at = None
+    at, first = None, math.inf
     for number in range(steps + 1):
         position, before = f"{start.title}: after {100 * number / steps:.0f} % of the path", at
         try:
@@ -157,10 +195,16 @@ def check_path(bench: Rig, start: StartRequest, joints: Array) -> None:
             raise ConfigError(f"{position}: {error}; go there via another pose") from None
         # A snap between two checked poses appears as a large prediction error of the Jacobian.
         jump = 0.0 if before is None else _prediction_error(before, at)
-        if at.stability < minimum or jump > MAX_TIP_JUMP_M:
+        if jump > MAX_TIP_JUMP_M:
             raise ConfigError(
-                f"{position} the tubes would snap, or nearly (stability {at.stability:.2g}, at least {minimum:g};"
-                f" jump of {1e3 * jump:.1f} mm); go there via another pose"
+                f"{position} the tubes would snap (jump of {1e3 * jump:.1f} mm); go there via another pose"
+            )
+        first = at.stability if before is None else first
+        worst = margin_of_worst_tubes(statics, at, at.joints, uncertainty)[1]
+        if worst <= 0.0 and at.stability < first:  # a path from a pose near a snap may lead away from it
+            raise ConfigError(
+                f"{position} tubes that differ by {100 * uncertainty:g} % from the robot's file may snap; go there via"
+                " another pose"
             )
 
 
@@ -181,7 +225,7 @@ def _prediction_error(before: Solution, at: Solution) -> float:
     return float(np.linalg.norm(at.tip - predicted))
 
 
-#: Factors on the duration and on the size of a motion that are checked, the smallest change first.
+#: Factors by which a suggestion changes the duration or the size of a motion; the smallest change is tried first.
 SLOWER_FACTORS = (1.25, 1.5, 2.0, 3.0, 5.0)
 SMALLER_FACTORS = (0.8, 0.6, 0.4, 0.2)
 
@@ -238,7 +282,7 @@ def _slower(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
             words = f"a frequency of {format_quantity(change['frequency'], 'Hz')}"
         case WaypointsMotion():
             change = {"points": tuple((time * factor, *position) for time, *position in motion.points)}
-            words = f"times {factor:g} times as long"
+            words = f"waypoint times multiplied by {factor:g}"
         case _:
             return None
     return motion.model_copy(update=change), words
@@ -263,7 +307,7 @@ def _smaller(motion: TipMotion, factor: float) -> tuple[TipMotion, str] | None:
             words = f"an offset of {', '.join(format_quantity(value, 'm') for value in change['offset'])}"
         case WaypointsMotion():
             points = tuple((time, *(factor * value for value in position)) for time, *position in motion.points)
-            change, words = {"points": points}, f"offsets {factor:g} times as large"
+            change, words = {"points": points}, f"waypoint offsets multiplied by {factor:g}"
         case _:
             return None
     return motion.model_copy(update=change), words

@@ -11,14 +11,14 @@ import time
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import computed_field
 
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
+from station.calibration.catalogue import PROCEDURES, known_weights
 from station.calibration.files import new_folder
 from station.calibration.procedure import (
     SWING_DECAY_S,
@@ -40,12 +40,15 @@ from station.control.task import MotionTask
 from station.devices.aurora.tracker import TrackerMounting
 from station.devices.config import Mount
 from station.lab.aurora_coil import assumed_mounting
+from station.service.calibration_choice import CalibrationChoice
 from station.service.camera_calibration import CameraCalibration
 from station.service.permits import Permit
 from station.service.runs import StartRequest
 from station.service.station_file import Rig
 from station.service.supervisor import Supervisor
 
+#: States in which the station may be started again.
+RESTING_STATES = (State.OFF, State.CONNECTED, State.READY, State.HOLD, State.STOPPED, State.FAULT)
 #: Interval between two checks of the station's state while a procedure waits [s].
 POLL_INTERVAL_S = 0.05
 #: States in which a procedure continues; any other state ends it.
@@ -106,6 +109,7 @@ class CalibrationSession:
         self._permit = permit  # a STOP or a reset after the request voids this permit, which ends the procedure
         self._controller = supervisor.bench.controlled(supervisor.bench.controller)
         self._confirmed, self._abort = threading.Event(), ""
+        self._prompting = threading.Lock()  # a confirmation counts only for the instruction that is open
         self._start_time, self._end_time = self._clock.now(), 0.0
         self._expected = PROCEDURES[job.what].expected(job.effort, len(job.weights))
         self._zero: float | None = None  # telemetry's time at the first measurement [s]
@@ -128,9 +132,10 @@ class CalibrationSession:
         Raises:
             RefusedError: the procedure is not waiting for the operator.
         """
-        if self._now.stage is not SessionStage.ASKING:
-            raise RefusedError("no procedure waits for the operator now")
-        self._confirmed.set()
+        with self._prompting:
+            if self._now.stage is not SessionStage.ASKING or self._confirmed.is_set():
+                raise RefusedError("no procedure waits for the operator now")
+            self._confirmed.set()
 
     def abort(self, cause: str) -> None:
         """End the procedure at its next check; motion is stopped and no result is kept.
@@ -171,7 +176,7 @@ class CalibrationSession:
         if ending is not SessionStage.DONE:
             shutil.rmtree(self._job.folder, ignore_errors=True)
         if weight := max(self._now.weight, self._attached):
-            self._supervisor.apply_load(NoLoad())  # in the virtual lab; the operator removes a real weight
+            self._supervisor.lab.apply_load(NoLoad())  # in the virtual lab; the operator removes a real weight
             why = f"{why}; a weight of {weight:g} N may be attached to the tip: remove it"
         self._end_time = self._clock.now()
         self._now = self._now.now(stage=ending, message=why, instruction="", weight=0.0, left=0.0)
@@ -202,19 +207,20 @@ class CalibrationSession:
         return answer._replace(time=answer.time - self._zero)
 
     def _prompt_operator(self, step: OperatorPrompt) -> None:
-        self._confirmed.clear()
-        self._now = self._now.now(
-            stage=SessionStage.ASKING,
-            done=step.done,
-            message="waiting for the operator",
-            instruction=step.text,
-            weight=step.weight,
-        )
+        with self._prompting:
+            self._confirmed.clear()
+            self._now = self._now.now(
+                stage=SessionStage.ASKING,
+                done=step.done,
+                message="waiting for the operator",
+                instruction=step.text,
+                weight=step.weight,
+            )
         while not self._confirmed.wait(POLL_INTERVAL_S):
             self._check_state()
         self._attached = step.weight
         # In the virtual lab this attaches the weight; with real devices it does nothing.
-        self._supervisor.apply_load(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
+        self._supervisor.lab.apply_load(ConstantLoad(magnitude=step.weight) if step.weight > 0.0 else NoLoad())
         self._show(SessionStage.MOVING, step.done, "waiting until the weight is at rest")
         end = self._clock.now() + SWING_DECAY_S
         while self._clock.now() < end:
@@ -239,7 +245,8 @@ class CalibrationSession:
         """Move back to the start pose of the procedure."""
         start = self._job.start
         self._rows(
-            MotionTask(self._controller, rest_orders(start.size), 0.0, start), f"calibrate {self._job.what}, returning"
+            MotionTask(self._controller, rest_orders(start.size), 0.0, start, loaded=True),
+            f"calibrate {self._job.what}, returning",
         )
 
     # Progress and state
@@ -269,9 +276,10 @@ class CalibrationSession:
 class LiveCalibration:
     """Calibration procedures on one station; its methods are thread-safe."""
 
-    def __init__(self, supervisor: Supervisor, folder: Path) -> None:
-        """Prepare calibrations whose results are written to a new folder inside `folder`."""
+    def __init__(self, supervisor: Supervisor, folder: Path, choice: CalibrationChoice | None = None) -> None:
+        """Prepare calibrations whose results are written to a new folder inside `folder`, and applied to `choice`."""
         self.supervisor, self.folder = supervisor, folder
+        self.choice = choice or CalibrationChoice()  #: calibration that the station starts with
         self.cameras = CameraCalibration(supervisor, folder)
         self._session: CalibrationSession | None = None
         self._thread: threading.Thread | None = None
@@ -286,7 +294,7 @@ class LiveCalibration:
         self,
         what: str,
         effort: float = 1.0,
-        weights: tuple[float, ...] = DEFAULT_WEIGHTS_N,
+        weights: tuple[float, ...] = (),
         permit: Permit | None = None,
     ) -> None:
         """Start a procedure; the caller confirms that the whole workspace of the tubes is free.
@@ -294,19 +302,20 @@ class LiveCalibration:
         Args:
             what: name in the catalogue.
             effort: factor that multiplies the default number of poses.
-            weights: calibration weights that the operator can attach to the tip [N].
+            weights: calibration weights that the operator can attach to the tip [N]; empty: the usual ones.
             permit: permit of the request; a later STOP or reset ends the procedure.
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
-            RefusedError: the bench lacks a device of the procedure, the station is not READY, or a procedure runs.
-            ConfigError: the tracker's pose in the station's file is invalid, or the folder cannot be written.
+            RefusedError: the station lacks a device of the procedure, is not READY, or a procedure runs.
+            ConfigError: the tracker's pose in the station's file is invalid, the folder cannot be written, or a weight
+                exceeds what the robot bears.
         """
         if missing := PROCEDURES[what].missing(self.supervisor.bench.present):
             raise RefusedError(f"'calibrate {what}' {missing}, which this bench does not have")
         permit = permit or self.supervisor.permit()
         with self._lock:
-            self.supervisor.reserve(f"'calibrate {what}' has reserved the robot; abort it first", permit)
+            self.supervisor.reserve(f"'calibrate {what}' has reserved the robot: wait for its end, or abort it", permit)
             if self._thread is not None:
                 self._thread.join()  # the previous procedure has already released the robot
             try:
@@ -318,6 +327,26 @@ class LiveCalibration:
                 raise
             self._thread = threading.Thread(target=self._run, args=(self._session,), name="calibration")
             self._thread.start()
+
+    @property
+    def clearing(self) -> Literal["tracker", "tubes"]:
+        """Procedure that the page recommends if the model's tip is too far from the tracker's tip."""
+        known = self.supervisor.bench.calibration
+        return "tracker" if known is not None and known.fitted_tubes else "tubes"
+
+    def choose(self, folder: Path | None, permit: Permit) -> None:
+        """Apply the calibration in `folder`, or undo the last choice (None), while nothing moves; the station restarts.
+
+        Raises:
+            VoidError: a STOP or a reset came after the request.
+            RefusedError: the robot moves or is reserved, or there is nothing to undo.
+            ConfigError: the station cannot use this calibration, or its file cannot be written.
+        """
+        self.supervisor.check("apply", RESTING_STATES, permit)
+        if folder is None:
+            self.choice.undo()
+        else:
+            self.choice.apply(folder)
 
     def done(self) -> None:
         """Confirm that the operator has carried out the instruction.
@@ -366,20 +395,12 @@ def assumed_mount(bench: Rig) -> TrackerMounting:
 
 
 def _job(supervisor: Supervisor, folder: Path, what: str, effort: float, weights: tuple[float, ...]) -> CalibrationJob:
-    bench = supervisor.bench
+    bench, known = supervisor.bench, supervisor.bench.best_known_robot
     calibration, now, mount = bench.calibration, datetime.now().astimezone(), assumed_mount(bench)
     return CalibrationJob(
-        what,
-        effort,
-        weights,
-        bench.best_known_robot,
-        np.array(bench.park),
-        mount,
-        bench.title,
-        bench.seed if bench.devices is None else None,
-        supervisor.simulated,
+        what, effort, known_weights(known, weights), known, np.array(bench.park), mount,
+        bench.title, bench.seed if bench.devices is None else None, supervisor.simulated,
         now.isoformat(timespec="seconds"),
-        new_folder(folder, f"{what}-{now:%Y%m%d-%H%M%S}"),
-        None if calibration is None else calibration.folder,
-        bench.present.sensors,
-    )
+        new_folder(folder, f"{what}-{now:%Y%m%d-%H%M%S}"), None if calibration is None else calibration.folder,
+        0.0 if calibration is None else calibration.latency, bench.present.sensors, bench.robot,
+    )  # fmt: skip

@@ -5,7 +5,7 @@ import threading
 import traceback
 from collections.abc import Callable, Collection, Sequence
 
-from station.config.loads import Load, NoLoad
+from station.config.loads import Load, NoLoad, Obstacle
 from station.config.strict import ConfigError
 from station.control.child_process import is_alive
 from station.control.messages import StateNotice
@@ -35,6 +35,7 @@ class Backend:
         self._lock = threading.Lock()
         self._devices = bench.devices  # None: not known before the lab has started
         self._motion_start: float | None = None
+        self._load: Load = NoLoad()  # load that was applied last
         self._applied: StartRequest | None = None  # start request whose load and faults are applied now
         self._host: LabHost | None = None  # process of the lab; None with real devices
 
@@ -48,7 +49,13 @@ class Backend:
         shape = any(camera.simulated for camera in bench.cameras.values())
         lab = LabBench(bench.robot, bench.lab, bench.seed, bench.park, bench.fifo, bench.terminals, bench.clock, shape)
         # Other threads use the old host until the new one is assigned.
+        self._load = NoLoad()
         self._host, self._devices = LabHost(lab, self._ring.name, ring_width(bench.robot)), None
+
+    @property
+    def removed_load(self) -> bool:
+        """Whether the virtual lab applies no load now, so that the operator need not take one off."""
+        return self._bench.devices is None and isinstance(self._load, NoLoad)
 
     @property
     def alive(self) -> bool:
@@ -73,9 +80,13 @@ class Backend:
         return self._devices
 
     def apply_load(self, load: Load) -> None:
-        """Apply a load to the tip of the virtual lab's robot now."""
+        """Apply a load to the tip of the virtual lab's robot now; `NoLoad` also removes an obstacle."""
+        self._apply(load, self._bench.clock.now())
+
+    def _apply(self, load: Load, start: float) -> None:
         if self._host is not None:
-            self._host.apply_load(load, self._bench.clock.now())
+            self._load = load
+            self._host.apply_load(load, start)
 
     def inject(self, faults: Sequence[LabFault]) -> None:
         """Inject faults into the simulated devices from now on; an empty sequence clears all faults.
@@ -99,7 +110,8 @@ class Backend:
     def motion(self, start: StartRequest | None, motion_start: float | None) -> None:
         """Apply the load and faults of a run whose motion started at `motion_start`, by the station's clock [s].
 
-        With `motion_start` None the motion has ended, so its load and faults are cleared.
+        With `motion_start` None the motion has ended, so its load and faults are cleared. Only an obstacle remains, as
+        a real one does, until another load replaces it or `apply_load` removes it.
         """
         with self._lock:
             if motion_start == self._motion_start:
@@ -109,13 +121,14 @@ class Backend:
             self._motion_start = motion_start
         if self._host is None:
             return
-        if ended is not None and ended.load is not None:
-            self._host.apply_load(NoLoad(), 0.0)
+        if ended is not None and ended.load is not None and not isinstance(self._load, Obstacle):
+            self._apply(NoLoad(), 0.0)
         if ended is not None and ended.faults:
             self._host.inject((), 0.0)
         if motion_start is not None and start is not None:
-            if start.load is not None:
-                self._host.apply_load(start.load, motion_start)
+            stays = isinstance(self._load, Obstacle) and isinstance(start.load, NoLoad)
+            if start.load is not None and not stays:
+                self._apply(start.load, motion_start)
             if start.faults:
                 self._host.inject(start.faults, motion_start)
 
@@ -128,8 +141,8 @@ class Backend:
 
 #: Time without a tick after which the control process counts as hung [s]; it is then killed and the stages are stopped.
 HUNG_AFTER_S = 1.0
-#: Time without a tick after which the control process counts as hung before the station was READY once [s]. The time is
-#: longer because the first ticks of a new installation compile code.
+#: Time without a tick after which the control process counts as hung, until the station has been READY once [s]. It is
+#: longer, because the first ticks of a new installation compile code.
 FIRST_TICKS_TIMEOUT_S = 60.0
 #: Longest time that a reset waits for the heartbeat of a process [s].
 HEARTBEAT_TIMEOUT_S = 3.0

@@ -6,15 +6,16 @@ A separate thread controls the recorder's process, so that no other thread waits
 import itertools
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from station.camera.host import Cameras
 from station.config.loads import Load, NoLoad
+from station.config.regions import mesh_hashes
 from station.config.robots import RobotFile
 from station.control.child_process import is_alive
 from station.control.clock import StationClock
@@ -50,6 +51,13 @@ class StartRequest:
     recorded: bool = True  #: whether the run is recorded
 
 
+class RunEnd(NamedTuple):
+    """End of a run: READY if it is complete, otherwise the state in which it ended."""
+
+    state: State
+    cause: str  #: cause of HOLD, STOPPED or FAULT; empty after a complete run
+
+
 @dataclass(frozen=True)
 class RunRequest:
     """Start request with the number and the id of its run."""
@@ -57,6 +65,8 @@ class RunRequest:
     number: int  #: number of the run, from 1
     id: str  #: id of the run, also the name of its recording
     start: StartRequest
+    #: set when the control process reports the end of the run, or has ended; a later reset does not change it
+    end: Future[RunEnd] = field(default_factory=Future[RunEnd], compare=False)
 
 
 #: Time without a heartbeat after which the recorder counts as hung [s]; shorter than the 8 s of rows in the ring.
@@ -73,7 +83,7 @@ class LiveRecording:
         self.not_recoverable = unrecoverable(runs)  #: sentences about runs that cannot be recovered or removed
         try:
             RunHistory(runs).purge()
-        except RunError as error:  # the station works with too many deleted runs; the operator is informed
+        except RunError as error:  # too many deleted runs do not prevent the start; the operator is informed
             self.not_recoverable.append(str(error))
         self._ring, self._clock = ring, clock
         ring.numbers[RECORDER_HEARTBEAT], self._started = 0.0, clock.now()
@@ -115,6 +125,11 @@ class LiveRecording:
             raise RecordingError(
                 "the recorder did not start in time (it restarts, or the disk is slow); try again"
             ) from None
+
+    @property
+    def stiffness(self) -> list[list[float | None]] | None:
+        """Stiffness at each point that the running palpation has measured so far [N/m]; None: no palpation."""
+        return self._recorder.stiffness
 
     @property
     def finishing(self) -> bool:
@@ -170,7 +185,7 @@ class LiveRecording:
         beat = float(self._ring.numbers[RECORDER_HEARTBEAT])
         if not beat or self.finishing or self._clock.now() - beat <= RECORDER_TIMEOUT_S:
             return ""
-        return f"the recorder has not responded for {RECORDER_TIMEOUT_S:g} s; a reset starts another one"
+        return f"the recorder has not responded for {RECORDER_TIMEOUT_S:g} s; reset the station to restart it"
 
     def _check_recorder(self) -> None:
         self._problem = self._problem or self._recorder.trouble()
@@ -195,18 +210,34 @@ class LiveRecording:
             self._lost = f"the recording of the last run was not finished: {why}"
 
 
+def _time_of_day() -> datetime:
+    return datetime.now().astimezone()
+
+
 class Runs:
     """Register of runs and owner of their recording; its methods are thread-safe."""
 
-    def __init__(self, bench: Rig, ring: Ring, folder: Path | None, cameras: Cameras | None = None) -> None:
-        """Prepare runs that are recorded in `folder` with the `cameras`, if given; `open` starts the recorder."""
+    def __init__(
+        self,
+        bench: Rig,
+        ring: Ring,
+        folder: Path | None,
+        cameras: Cameras | None = None,
+        time_of_day: Callable[[], datetime] = _time_of_day,
+    ) -> None:
+        """Prepare runs that are recorded in `folder` with the `cameras`, if given; `open` starts the recorder.
+
+        `time_of_day` returns the time for the names of session and runs; a run starts later than its session.
+        """
+        self._time_of_day = time_of_day
         self._cameras = cameras
         self._bench, self._ring, self._folder = bench, ring, folder
-        self.session = f"{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+        self.session = f"{time_of_day():%Y%m%d-%H%M%S}"
         self._numbers = itertools.count(1)
         self._lock, self._renewing = threading.Lock(), threading.Lock()
         self._prepared: RunRequest | None = None
         self.current: RunRequest | None = None  #: present run or last run; None before the first run
+        self._moving = 0  # number of the run that the control process has reported as RUNNING; 0: none
         self._recorded: RunRequest | None = None  # run whose recording is in progress
         self.recorder: LiveRecording | None = None  #: owner of the recorder; None without a folder or before `open`
 
@@ -234,6 +265,11 @@ class Runs:
         """Whether a run is being recorded, or its recording is being finished."""
         return self._recorded is not None or (self.recorder is not None and self.recorder.finishing)
 
+    @property
+    def stiffness(self) -> list[list[float | None]] | None:
+        """Stiffness at the points that the present palpation has measured [N/m]; None: no palpation is recorded."""
+        return self.recorder.stiffness if self.recorder is not None and self._recorded is not None else None
+
     def prepare(self, start: StartRequest, until: float = math.inf) -> RunRequest:
         """Number a start request and start its recording; the caller must then call `accepted` or `refused`.
 
@@ -241,13 +277,15 @@ class Runs:
             RecordingError: the recording cannot start by `until` on the station's clock [s].
         """
         number = next(self._numbers)
-        run = RunRequest(number, f"{datetime.now().astimezone():%Y%m%d-%H%M%S}-{number}", start)
+        run = RunRequest(number, f"{self._time_of_day():%Y%m%d-%H%M%S}-{number}", start)
         if self.recorder is not None and start.recorded:
             known = {
                 "title": start.title, "seed": self._bench.seed, "clock_rate": self._bench.clock.rate,
                 "lab": self._bench.lab.model_dump(mode="json") if self._bench.devices is None
                 else {"title": self._bench.title},
             }  # fmt: skip
+            if meshes := mesh_hashes(self._bench.keep_out):
+                known["meshes"] = meshes
             # The recorder chooses the name: another station with the same folder may use the run's name already.
             about = {**known, **start.about}
             name = self.recorder.begin(run.id, start.task.duration, start.counted_from, about, until)
@@ -272,11 +310,12 @@ class Runs:
 
     def forget(self) -> None:
         """Forget the runs of a control process that has ended."""
+        self._end_unfinished("the control process was restarted")
         with self._lock:
             self._prepared = self.current = None
 
     def present(self, number: int) -> RunRequest | None:
-        """Return the prepared run if the control process executes it already (`number`), and else the present run."""
+        """Return the prepared run if it has the `number` that the control process executes; else the present run."""
         with self._lock:
             prepared = self._prepared
             return prepared if prepared is not None and prepared.number == number else self.current
@@ -304,12 +343,20 @@ class Runs:
         self.recorder.add_event(self._time(), MARK, text)
 
     def on_state(self, notice: StateNotice) -> None:
-        """End the recording if the notice reports the end of its run."""
+        """End the run and its recording if the notice reports the end of the run."""
+        cause = with_details(notice.cause, notice.details)
+        with self._lock:
+            run = next((run for run in (self._prepared, self.current) if run and run.number == notice.run), None)
+            if notice.state is State.RUNNING:
+                self._moving = notice.run
+            elif run is not None and self._moving == run.number and not run.end.done():
+                run.end.set_result(RunEnd(notice.state, notice.cause))
         if self._recorded is not None and notice.run == self._recorded.number and notice.state is not State.RUNNING:
-            self._finish(notice.state, with_details(notice.cause, notice.details))
+            self._finish(notice.state, cause or notice.contact)
 
     def interrupted(self, cause: str) -> None:
-        """End the recording of a run whose control process has died."""
+        """End a run whose control process has died, and its recording."""
+        self._end_unfinished(cause)
         if self.recorder is not None and self._recorded is not None:
             self._end_recording()
             self.recorder.interrupted(cause)
@@ -334,6 +381,13 @@ class Runs:
             recording, self.recorder = self.recorder, None
         if recording is not None:
             recording.close()
+
+    def _end_unfinished(self, cause: str) -> None:
+        """End the runs that have not ended before their control process."""
+        with self._lock:
+            for run in (self._prepared, self.current):
+                if run is not None and not run.end.done():
+                    run.end.set_result(RunEnd(State.FAULT, cause))
 
     def _finish(self, state: State, cause: str) -> None:
         if self.recorder is not None:

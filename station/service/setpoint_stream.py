@@ -2,26 +2,24 @@
 
 import math
 from collections import deque
-from dataclasses import replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import Field
 
-from core.control.setpoint_request import DEFAULT_MOTION_BOUNDS, SetpointRequest, turn_bounds
+from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.controllers import ControllerFile
-from station.config.strict import Strict
-from station.control.task import StreamLimits
+
+if TYPE_CHECKING:
+    from station.service.commands import StreamAgreement
 
 #: Largest rate of a client's messages [1/s], and time over which this rate is averaged [s]. The time is long because
 #: messages that wait while this computer is busy arrive together, which is not the sender's fault.
 MAX_RATE_HZ, STALL_S = 500.0, 4.0
 MAX_BURST = MAX_RATE_HZ * STALL_S
-#: The velocity is fitted to the positions of the last 0.1 s [s], and to at least this number of positions.
+#: Time span of the positions to which the velocity is fitted [s], and smallest number of these positions.
 VELOCITY_WINDOW_S, MIN_WINDOW_POINTS = 0.1, 3
-#: Time within which positions that arrive are one bunch [s]. Only the newest position of a bunch counts: the network
+#: Positions that arrive within this time form a bunch [s]. Only the newest position of a bunch counts: the network
 #: determines the intervals within a bunch, so differences within a bunch give no velocity.
 BUNCH_S = 0.005
 #: Duration of a position's extrapolation in periods of the sender, so that one message may get lost; shortest and
@@ -44,47 +42,13 @@ class RateExceeded(CtrError):
     """A streaming client sends more messages than allowed."""
 
 
-class StreamAgreement(Strict):
-    """Options of a stream, which the client sends at its start."""
-
-    frame: Literal["start", "world"] = "start"
-    """frame of the positions: relative to the tip at the start, or the world frame"""
-    speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
-    """largest speed of the setpoint [m/s]"""
-    acceleration: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
-    """largest acceleration of the setpoint [m/s^2]"""
-    turning: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
-    """largest turning rate of the direction setpoint, if the controller's task includes the direction [rad/s]"""
-    reach: Annotated[float, Field(gt=0.0, le=0.2)] = 0.05
-    """largest distance from the tip at the start; positions farther away are refused [m]"""
-    silence: Annotated[float, Field(ge=0.05, le=2.0)] = 0.2
-    """time without a message after which the tip comes to rest [s]"""
-    end: Annotated[float, Field(ge=0.5, le=60.0)] = 2.0
-    """time without a message after which the run ends [s]"""
-    duration: Annotated[float, Field(gt=0.0, le=86400.0)] = 600.0
-    """longest duration of the run [s]"""
-    controller: ControllerFile | None = None
-    """null: the best one for the station's devices"""
-
-    def limits(self) -> StreamLimits:
-        """Return the limits of the stream for the control loop."""
-        bounds = replace(
-            DEFAULT_MOTION_BOUNDS, max_speed=self.speed, max_acceleration=self.acceleration, reach=self.reach
-        )
-        return StreamLimits(bounds, self.silence, self.end, turn_bounds(self.turning))
-
-    @property
-    def controls_direction(self) -> bool:
-        """Whether the direction of the tip is controlled, so that a client may send it."""
-        return self.controller is not None and self.controller.task != "position"
-
-
 class SetpointStream:
     """State of one client's stream of setpoints; times are by the receiver's clock [s]."""
 
-    def __init__(self, agreement: StreamAgreement, start: Array, now: float) -> None:
+    def __init__(self, agreement: "StreamAgreement", start: Array, now: float) -> None:
         """Start a stream; `start` (3,) is the tip at its start, in the world frame [m]."""
-        self._reach, self._controls_direction = agreement.reach, agreement.controls_direction
+        self._reach = agreement.reach
+        self.controls_direction = agreement.controls_direction  #: whether positions may have a direction
         self._direction: Array | None = None  # latest requested direction
         self._zero = start if agreement.frame == "world" else np.zeros(3)
         self._samples: deque[tuple[float, Array]] = deque()  # times and positions from which the velocity is computed
@@ -167,7 +131,7 @@ class SetpointStream:
         """Return the unit vector (3,) of a direction, or the latest one."""
         if direction is None:
             return self._direction
-        if not self._controls_direction:
+        if not self.controls_direction:
             raise SetpointRefused(
                 "direction: the tip's direction is not controlled in this run; start the stream with"
                 ' controller.task = "position_and_direction", which needs five joints or more; the previous setpoint'

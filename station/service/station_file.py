@@ -1,5 +1,6 @@
 """Configuration file of a station, and the rig that it describes: robot, lab, devices and settings."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -7,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr
 
 from core.control.controller_settings import Controller
 from core.control.force_control import OVERSHOOT
@@ -16,20 +17,51 @@ from core.errors import CtrError
 from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array
-from station.config.controllers import ControllerFile, Present, default_controller
-from station.config.regions import RegionFile, Regions, resolved
-from station.config.robots import RobotFile, load_robot, named_pose
-from station.config.strict import ConfigError, Format, Strict, check, line_reference, read_toml, use_experiments
+from station.config.controllers import ControllerFile, Present, StagesLatency, default_controller
+from station.config.regions import RegionFile, Regions, mesh_warnings, read_regions, resolved
+from station.config.robots import WHOLE_LOAD, RobotFile, load_robot, named_pose
+from station.config.strict import (
+    PRESETS,
+    ConfigError,
+    Format,
+    Row,
+    Strict,
+    check,
+    line_reference,
+    preset,
+    read_toml,
+    use_experiments,
+)
 from station.control.bench_calibration import BenchCalibration
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.monitors import Margins, OverrunLimits, check_design
 from station.control.process import ControlSetup
 from station.devices.cameras import CameraFile, CamerasFile, check_cameras, measuring
 from station.devices.config import BenchFile, DevicesFile
-from station.devices.registry import emergency_stop, plan
+from station.devices.registry import default_latency, emergency_stop, plan, stages_latency
 from station.devices.stereo.tracker import with_views
 from station.lab.config import LabConfig, LabName, Without, load_lab
+from station.lab.simulated_stages import lab_latency
 from station.lab.virtual_bench import warm_up_control
+
+_ORIGIN = re.compile(r"(https?)://(\[[0-9a-f:]+\]|[a-z0-9-]+(?:\.[a-z0-9-]+)*)(?::([1-9][0-9]{0,4}))?")
+
+
+def _origin(text: str) -> str:
+    """Return `text` if it is the origin of a web page in the form that a browser sends.
+
+    Raises:
+        ValueError: it has a wildcard, a path, capitals or the default port, for example.
+    """
+    match = _ORIGIN.fullmatch(text)
+    if match is None or int(match[3] or 1) > 65535 or (match[1], match[3]) in (("http", "80"), ("https", "443")):
+        raise ValueError(
+            "expected http or https, host and optional port, such as 'http://localhost:8080', in lower case"
+        )
+    return text
+
+
+Origin = Annotated[str, AfterValidator(_origin)]
 
 
 @dataclass(frozen=True)
@@ -54,7 +86,7 @@ class Rig:
     lab_name: str = "gentle"  #: preset or file of the lab; empty with real devices
     robot_name: str = "paper"  #: preset or file of the robot
     cameras: Mapping[str, CameraFile] = field(default_factory=dict[str, CameraFile])  #: cameras by name
-    keep_out: tuple[RegionFile, ...] = ()  #: regions that the tubes must not enter, or must not leave
+    keep_out: tuple[RegionFile, ...] = ()  #: regions that the tubes must not enter or not leave
 
     @property
     def video_bytes_per_s(self) -> float:
@@ -64,11 +96,11 @@ class Rig:
     @cached_property
     def max_force(self) -> float:
         """Force on the tip at which a motion ends in HOLD, or at which the controller stops pushing [N]."""
-        return self.robot.largest_force().newton
+        return self.best_known_robot.largest_force().newton
 
     @property
     def max_desired_force(self) -> float:
-        """Largest desired force of a motion `force` [N]; at the contact the force exceeds the desired one."""
+        """Largest desired force of a motion `force` [N], below `max_force` because the force overshoots at contact."""
         return self.max_force / (1.0 + OVERSHOOT)
 
     @cached_property
@@ -78,8 +110,8 @@ class Rig:
 
     @cached_property
     def model_note(self) -> str:
-        """Text about the model's integrator if it was chosen because of the tubes' curvature; otherwise empty."""
-        return self.controller.model_note(self.robot.robot())
+        """Human-readable description of the model: its integrator and the length of its sub-links."""
+        return f"model: {self.controller.model(self.robot.robot()).discretisation}"
 
     def controlled(self, file: ControllerFile) -> Controller:
         """Return the controller that `file` describes, with the calibrated parameters.
@@ -88,9 +120,15 @@ class Rig:
             DescriptionError: the strategy is unknown, needs a device that the station does not have, or a gain or
                 bandwidth is out of range.
         """
-        if self.calibration is None:
-            return file.controller(self.robot, self.present, self.keep_out)
-        return self.calibration.applied(file.controller(self.calibration.robot, self.present, self.keep_out))
+        controller = file.controller(self.best_known_robot, self.present, self.keep_out, self.latency)
+        return controller if self.calibration is None else self.calibration.applied(controller)
+
+    @cached_property
+    def latency(self) -> StagesLatency:
+        """Latency of the stages according to their driver; the controller's keys may override it."""
+        if self.devices is None:
+            return lab_latency(self.lab.stages, self.robot)
+        return stages_latency(self.devices.stages, self.robot)
 
     @property
     def best_known_robot(self) -> RobotFile:
@@ -99,17 +137,19 @@ class Rig:
 
     @property
     def present(self) -> Present:
-        """Which devices the station has besides its stages."""
+        """Devices that the station has in addition to its stages."""
         return self.lab.present if self.devices is None else self.devices.present
 
     def registered(self, devices: BenchFile) -> BenchFile:
-        """Return the devices with the calibrated pose of the tracker and the calibrated views of its cameras."""
+        """Return the devices with the calibrated pose and latency of the tracker, and its calibrated views."""
         calibration = self.calibration
         if calibration is None or devices.tracker is None:
             return devices
         tracker = dict(devices.tracker)
         if calibration.mount is not None:
             tracker["mount"] = calibration.mount
+        if calibration.latency:
+            tracker["latency"] = tracker.get("latency", default_latency(tracker["driver"])) + calibration.latency
         if tracker["driver"] == "stereo":
             tracker["views"] = measuring(self.cameras, calibration.views)
         return devices.model_copy(update={"tracker": tracker})
@@ -174,6 +214,13 @@ UNSTOPPABLE = (
 )
 
 
+#: Warning about a force sensor that does not measure the whole load.
+NOT_THE_LOAD = (
+    "the force sensor on tube '{tube}' alone measures its share of the load and the forces between the tubes, which are"
+    " larger: its readings are recorded, and the force is estimated from the deflection of the tip"
+)
+
+
 class ExperimentsFile(Strict):
     """Table `[experiments]` of a station file."""
 
@@ -235,7 +282,7 @@ class StationFile(Strict):
     robot: str = "paper"
     """preset, or path of a .toml file relative to this file"""
     lab: LabName = "gentle"
-    """virtual lab: preset, path of a .toml file relative to this file, or a table with other `stages`"""
+    """virtual lab: preset, path of a .toml file relative to this file, or a table with its `base` and other `stages`"""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """seed of everything random in the virtual lab"""
     park: Mapping[str, float] | None = None
@@ -266,24 +313,17 @@ class StationFile(Strict):
     """cameras that look at the robot; they need the extra `camera`"""
     keep_out: Regions = ()
     """regions that the tubes must not enter, or must not leave, in every motion"""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _earlier_words(cls, table: Any) -> Any:
-        """Convert the key `alone` of earlier versions (`"go_on"` or `"hold"`) to `on_operator_loss`."""
-        if not isinstance(table, Mapping) or "alone" not in table or "on_operator_loss" in table:
-            return table
-        value = table["alone"]
-        return {key: value for key, value in table.items() if key != "alone"} | {
-            "on_operator_loss": "continue" if value == "go_on" else value
-        }
+    gateway_origins: Annotated[tuple[Origin, ...], Row] = ()
+    """web pages that may connect to the gateway's Foxglove server, such as `"http://localhost:8080"` for a local
+    Lichtblick: scheme (http or https), host and optional port, as a browser sends them. Pages of the station and of
+    https://app.foxglove.dev, and desktop programs, may always connect"""
 
     _source: str = PrivateAttr("the default station")
     _folder: Path = PrivateAttr(default_factory=Path)
     _table: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     def bench(self) -> Rig:
-        """Return the rig that this file describes, after a check.
+        """Check this file and return the rig that it describes.
 
         Raises:
             ConfigError: the text names file, key, value and the expected value.
@@ -293,32 +333,40 @@ class StationFile(Strict):
         try:
             if self.without and self.devices != "virtual":
                 raise ConfigError(f"without = {list(self.without)}: leave out the tables of real devices instead")
-            present = lab.present if self.devices == "virtual" else self.devices.present
+            at, key, present = (
+                (lab.sensors.at, "sensors.at of the lab", lab.present)
+                if self.devices == "virtual"
+                else (self.devices.sensors_at, "devices.sensors.at", self.devices.present)
+            )
+            robot = robot.sensed_at(at, key)
             controller = self.controller or default_controller(present)
             park = self._park(robot)
-            regions = tuple(resolved(one, self._folder) for one in self.keep_out)
+            regions = read_regions([resolved(one, self._folder) for one in self.keep_out])
             folder = None if self.calibration is None else self._folder / self.calibration
-            calibration = None if folder is None else BenchCalibration.load(folder, robot)
+            cameras = {**self.cameras, **(lab.cameras if self.devices == "virtual" else {})}
+            calibration = None if folder is None else BenchCalibration.load(folder, robot, cameras)
             assumed = robot if calibration is None else calibration.robot
             limits = controller.controller(assumed, present, regions).limits
             check_pose(Statics(robot.robot()), limits, park)
             devices = None if self.devices == "virtual" else self.clock.with_patience(self.devices)
             unstoppable = ""
-            cameras = dict(self.cameras)
             if devices is not None:
                 if devices.tracker is not None:
                     tracker = with_views(devices.tracker, self.cameras)
                     devices = devices.model_copy(update={"tracker": tracker})
                 plan(devices, robot)
+                stages_latency(devices.stages, robot)
                 if emergency_stop(devices.stages, robot) is None:
                     unstoppable = UNSTOPPABLE.format(driver=devices.stages["driver"])
             snaps = check_design(assumed, self.margins)
+            if preset("robots", self.robot).is_relative_to(PRESETS):
+                snaps = ""  # the tubes of a preset cannot be changed; the control loop watches for a snap anyway
+            partial = NOT_THE_LOAD.format(tube=at) if at not in WHOLE_LOAD and "sensors" not in lab.without else ""
+            notices = (*(() if calibration is None else calibration.warnings), *mesh_warnings(regions))
             clock = self.clock.for_devices(self.devices)
             check_cameras(self.cameras, virtual=devices is None)
-            if devices is None:
-                if both := cameras.keys() & lab.cameras.keys():
-                    raise ConfigError(f"cameras.{min(both)}: the lab has a camera of this name; use another name")
-                cameras = {**lab.cameras, **cameras}
+            if devices is None and (both := self.cameras.keys() & lab.cameras.keys()):
+                raise ConfigError(f"cameras.{min(both)}: the lab has a camera of this name; use another name")
         except CtrError as error:
             raise ConfigError(f"{self._source}: {error}{line_reference(self._table, str(error))}") from None
         return Rig(
@@ -338,7 +386,7 @@ class StationFile(Strict):
             robot_name=self.robot,
             cameras=cameras,
             keep_out=regions,
-            warnings=tuple(text for text in (*self.clock.warnings, unstoppable, snaps) if text),
+            warnings=tuple(text for text in (*self.clock.warnings, unstoppable, partial, snaps, *notices) if text),
         )
 
     def _park(self, robot: RobotFile) -> Array:

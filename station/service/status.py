@@ -10,7 +10,7 @@ import numpy as np
 from core.robot.robot import Array
 from station.control.clock import StationClock
 from station.control.messages import DeviceStatus
-from station.control.ring import HEARTBEAT, PHASE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
+from station.control.ring import HEARTBEAT, PHASE, PREPARED_LATE, PROGRESS, RUN, STATE, STUCK, Ring, Timing
 from station.control.states import LATCHED, State, StopReasons
 from station.control.task import Phase
 from station.control.telemetry import Channels, stale_groups
@@ -25,6 +25,10 @@ SATURATION_SAMPLES = 200
 #: Fewest samples for a warning about joints at their limits.
 MIN_SATURATION_SAMPLES = 20
 STUCK_TEXT = "the simulated robot cannot follow its stages under its load and stays where it is: take the load off"
+PREPARED_LATE_TEXT = (
+    "{} compiled functions were prepared while the control loop was running, which delayed its ticks: repeat the"
+    " motion, and report this defect with the station's log"
+)
 #: States that the station process itself sets: a dead control process cannot report them.
 STATION_STATES = (State.OFF, State.FAULT)
 
@@ -33,7 +37,7 @@ class StationStatus(NamedTuple):
     """Status of a station at one moment."""
 
     state: State  #: present state
-    cause: str  #: cause of HOLD, STOPPED or FAULT, in words
+    cause: str  #: human-readable cause of HOLD, STOPPED or FAULT
     run: RunRequest | None  #: the present run, or the last one
     recording: bool  #: whether a run is being recorded, or its recording is being finished
     phase: Phase  #: phase of the run
@@ -56,9 +60,10 @@ class StateMonitor:
         self._lock = threading.RLock()
         self.reported = State.OFF  #: state that the control process has reported last; `state` may be slightly newer
         self.cause = self.details = ""  #: cause of the state that was reported last, and its addresses and values
+        self.contact = ""  #: why the tip may have contact while nothing moves; empty without contact
         self.entered: Counter[State] = Counter()  #: how often the station has entered each state
         self.devices: tuple[DeviceStatus, ...] = ()  #: devices as last reported; empty before the first report
-        self.refusals: tuple[str, ...] = ()  #: warnings about settings that the system has refused the control process
+        self.refusals: tuple[str, ...] = ()  #: warnings about real-time settings that the system has refused
         self._starting = False  # whether the first control process has been started and has reported nothing yet
         self._end = ""  # text about the end of the control process, with the earlier causes
         self._at_bound: deque[tuple[float, Array]] = deque(maxlen=SATURATION_SAMPLES)
@@ -83,7 +88,7 @@ class StateMonitor:
     def begin(self) -> None:
         """Show CONNECTING until the first report; call this before the first control process is started.
 
-        This process connects the devices as soon as its code is compiled, which takes up to several minutes.
+        The control process connects the devices as soon as its code is compiled, which may take several minutes.
         """
         with self._lock:
             self._ring.counters[STATE] = State.CONNECTING
@@ -147,8 +152,10 @@ class StateMonitor:
         ticked = float(numbers[HEARTBEAT])
         ours = int(counters[RUN]) == (0 if run is None else run.number)
         stuck = (STUCK_TEXT,) if counters[STUCK] else ()
+        late = (PREPARED_LATE_TEXT.format(counters[PREPARED_LATE]),) if counters[PREPARED_LATE] else ()
         values = {} if row is None else {name: self._channels.of(row, name) for name in self._channels.groups}
         saturated = self._saturation(values)
+        contact = (self.contact,) if self.contact and state is State.READY else ()
         run_warnings = run.start.warnings if run is not None and ours and state is State.RUNNING else ()
         return StationStatus(
             state=state,
@@ -161,7 +168,7 @@ class StateMonitor:
             timing=ring.timing(),
             values=values,
             devices=self.devices,
-            warnings=(*warnings, *self.refusals, *stuck, *run_warnings, *saturated),
+            warnings=(*warnings, *self.refusals, *contact, *stuck, *late, *run_warnings, *saturated),
             reserved=reserved,
             stale_groups=frozenset() if row is None else stale_groups(self._channels, row),
             details=details,

@@ -10,25 +10,27 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
+from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError
 from core.model.statics import Statics
-from core.robot.robot import Array
 from station.camera.host import Cameras
-from station.config.loads import Load
-from station.control.messages import CommandKind, CommandRefused, DeviceReport, StateNotice
+from station.config.controllers import ControllerFile, default_controller
+from station.config.motions import TipMotion
+from station.control.commands import Command, ControlCommand, Execute, Hold, HomeStages, LoopCommand, Reset, Stop
+from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import ring_width
 from station.control.realtime import move_off_core
 from station.control.ring import STATE, Ring
-from station.control.states import RefusedError, State, Transition, next_state
-from station.control.task import Space
+from station.control.states import RefusedError, State, check_state
+from station.control.task import StreamRequest
 from station.control.telemetry import Channels
 from station.devices.interfaces import is_simulated, with_details
-from station.lab.faults import LabFault
 from station.recording.run_outcome import RecordingError
 from station.service.audit import Audit, FlightRecorder
-from station.service.control_host import NOTHING_MOVES, ControlReport, ExitReport, NoReply
+from station.service.commands import MotionSettings, Start, StationCommand
+from station.service.control_host import NOTHING_MOVES, ControlHost, ControlReport, ExitReport, NoReply
 from station.service.fallback_stop import StopOutcome
 from station.service.permits import Permit, Permits, VoidError
 from station.service.processes import CONTROL_LABEL, ProcessSupervisor
@@ -66,8 +68,23 @@ class SingleFlight(Generic[T]):
         return mine.result()
 
 
+class Outcome(NamedTuple):
+    """Outcome of a command that was accepted."""
+
+    run: RunRequest | None = None  #: run that the command has started; None: none
+    note: str = ""  #: message for the operator; empty if there is nothing to report
+    confirmed: bool = True  #: whether every axis has confirmed a STOP
+
+    @property
+    def started(self) -> RunRequest:
+        """Run of a command that starts one."""
+        assert self.run is not None, "the command starts a run"  # noqa: S101
+        return self.run
+
+
 #: Longest time until a restarted control process is ready after a reset, including the loading of code [s].
 RESTART_TIMEOUT_S = 120.0
+_RESET = Reset()
 
 
 class Supervisor:
@@ -79,32 +96,30 @@ class Supervisor:
         self.robot = bench.best_known_robot.robot()
         self.channels = Channels(self.robot)
         self.statics = Statics(self.robot)
-        self.ring = Ring(ring_width(bench.robot))
         width = ring_width(bench.robot)
+        self.ring = Ring(width)
         self.cameras = Cameras(
-            bench.cameras,
-            bench.known_cameras,
-            bench.robot,
-            self.ring,
-            width,
-            bench.clock,
-            bench.seed,
+            bench.cameras, bench.known_cameras, bench.robot, self.ring, width, bench.clock, bench.seed,
             bench.tracking_cameras,
-        )
-        self._runs = Runs(bench, self.ring, folder, self.cameras)
+        )  # fmt: skip
+        self.runs = Runs(bench, self.ring, folder, self.cameras)  #: register of the runs
         self._state = StateMonitor(self.ring, self.channels, bench.clock)
-        self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self._runs.session)
-        self._processes = ProcessSupervisor(bench, self.ring, self._on_report, self._on_exit, self._runs.problem)
+        self._flight_recorder = FlightRecorder(self.ring, self.channels, audit, folder, self.runs.session)
+        self._processes = ProcessSupervisor(bench, self.ring, self._on_report, self._on_exit, self.runs.problem)
+        self.lab = self._processes.lab  #: virtual lab, which refuses faults if the devices are real
         self._reset_once = SingleFlight(self._reset)
         self._permits = Permits(self.ring, bench.clock)
-        self._reset_permit = self._permits.issue().lasting()  # permit of the newest request for a reset
+        # The newest request for a reset, and its permit.
+        self._reset_command, self._reset_permit = _RESET, self._permits.issue().lasting()
+        self.settings = MotionSettings(controller=default_controller(bench.present))  #: for the next free motion
+        self._changing = threading.Lock()  # locked while the settings change
         self._starting = threading.Lock()  # locked from the last check of the state until the answer to the start
         self._reserved = ""  # reason why only a calibration procedure may move the robot
 
     def open(self) -> None:
         """Start every process of the station; call this once."""
-        self._runs.open()
-        if (recorder := self._runs.recorder) is not None:
+        self.runs.open()
+        if (recorder := self.runs.recorder) is not None:
             for folder in recorder.recovered:
                 self._flight_recorder.note("recovered", f"run {folder.name}, which had been interrupted")
             for sentence in recorder.not_recoverable:
@@ -115,10 +130,10 @@ class Supervisor:
         self.cameras.start()
 
     def wait_started(self, timeout: float) -> None:
-        """Wait as `wait_ready` does, or until an operator stops the start, after which an operator connects again.
+        """Wait like `wait_ready`, but also return if a STOP or a reset ends the start; an operator then connects again.
 
         Raises:
-            CtrError: as `wait_ready`, without a STOP or a reset.
+            CtrError: as in `wait_ready`, unless a STOP or a reset came first.
         """
         start = self._permits.issue().lasting()
         try:
@@ -154,45 +169,88 @@ class Supervisor:
     def status(self) -> StationStatus:
         """Return the status of the station: state, run, devices, timing and newest telemetry."""
         warnings = (*self.bench.warnings, *self._processes.warnings)
-        while True:  # once more if a run starts meanwhile, because its state must not be shown with the run before it
+        while True:  # repeat if a run starts meanwhile: its state must not be shown with the previous run
             number = self._state.run_number
-            run = self._runs.present(number)
-            status = self._state.snapshot(run, self._runs.recording, self._reserved, warnings)
+            run = self.runs.present(number)
+            status = self._state.snapshot(run, self.runs.recording, self._reserved, warnings)
             if number == self._state.run_number:
                 return status
 
     def pids(self) -> dict[str, int]:
         """Return the process ID of every process that runs, by name."""
-        recorder = self._runs.recorder
+        recorder = self.runs.recorder
         return self._processes.pids() | self.cameras.pids() | ({} if recorder is None else {"recorder": recorder.pid})
 
     def entered(self, state: State) -> int:
         """Return how often the station has entered a state."""
         return self._state.entered[state]
 
+    def change_settings(self, trajectory: TipMotion | None = None, controller: ControllerFile | None = None) -> None:
+        """Change trajectory or controller of the next free motion.
+
+        Raises:
+            DescriptionError: the strategy is unknown, or a gain or bandwidth is out of range.
+        """
+        if controller is not None:
+            self.bench.controlled(controller)
+        with self._changing:
+            self.settings = self.settings.changed_by(Start(trajectory=trajectory, controller=controller))
+
     # Commands
 
     def permit(self, gone: Callable[[], bool] | None = None) -> Permit:
         """Return the permit of a request that arrives now.
 
-        `gone` returns whether the client has disconnected. Commands that move the robot, and a reset, have an argument
-        `permit` for the permit. Without this argument a command gets a new permit.
+        `gone` returns whether the client has disconnected. A command without a permit gets a new one.
         """
         return self._permits.issue(gone)
 
-    def check(self, event: Transition, permit: Permit) -> None:
-        """Check permit, reservation and state, which refuses a command before the slow check of its motion.
+    def check(self, what: str, states: Sequence[State], permit: Permit) -> None:
+        """Check permit, reservation and state for the command `what`, before the slow check of its motion.
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
             RefusedError: the state does not allow the command, or a procedure has reserved the robot.
         """
-        permit.check(event)
+        permit.check(what)
         self._check_free()
-        next_state(self._state.state, event)
+        check_state(self._state.state, what, states)
 
-    def start(self, start: StartRequest, permit: Permit) -> RunRequest:
-        """Start a run, unless a procedure has reserved the robot.
+    def send(self, command: Command, permit: Permit | None = None) -> Outcome:
+        """Check and execute a command; page, scripts, run queue and streams all send their commands with this method.
+
+        Raises:
+            VoidError: a STOP or a reset came after the request, or the permit has expired.
+            RefusedError: the state does not allow the command, or a procedure has reserved the robot.
+            CtrError: the command is not possible on this station; the text has the reason.
+        """
+        if isinstance(command, Stop):
+            stopped = self.stop(command.cause)
+            return Outcome(note=stopped.text, confirmed=stopped.confirmed)
+        if isinstance(command, Reset):
+            return Outcome(note=self.reset(command.who, permit, command))
+        command.check(self.bench.robot)
+        if isinstance(command, StationCommand):
+            return Outcome(command.execute(self, permit or self.permit()))
+        if isinstance(command, LoopCommand):
+            self.command_control(command, permit)
+        return Outcome()
+
+    def send_setpoint(self, run: RunRequest, request: SetpointRequest | None) -> None:
+        """Send a setpoint request to a streamed run; None: end the stream, and the tip comes to rest."""
+        self.ring.write_request(StreamRequest(run.number, request))
+
+    def command_control(self, command: ControlCommand, permit: Permit | None = None) -> None:
+        """Send a command to the control process, unless a procedure has reserved the robot.
+
+        Raises:
+            VoidError, RefusedError: as in `send`.
+        """
+        self._check_free()
+        self._control.send(command, (permit or self.permit()).on(self._reservation))
+
+    def start(self, start: StartRequest, permit: Permit, *, home: bool = False) -> RunRequest:
+        """Start a run, unless a procedure has reserved the robot; `home`: home every stage first.
 
         Raises:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
@@ -201,16 +259,32 @@ class Supervisor:
             RecordingError: the run cannot be recorded.
         """
         self._check_free()
-        return self.start_step(start, permit)
+        return self.start_step(start, permit.on(self._reservation), home=home)
 
-    def start_step(self, start: StartRequest, permit: Permit) -> RunRequest:
-        """Start a step of the procedure that has reserved the robot.
+    def start_step(self, start: StartRequest, permit: Permit, *, home: bool = False) -> RunRequest:
+        """Start a step of the procedure that has reserved the robot; simultaneous calls wait for each other.
 
         Raises:
             VoidError, RefusedError, ConfigError, RecordingError: as in `start`.
         """
-        self._processes.lab.check(start.faults)
-        return self._start_run(Transition.START, start, permit)
+        command = HomeStages if home else Execute
+        self.lab.check(start.faults)
+        with self._starting:
+            permit.check(command.name)
+            check_state(self._state.state, command.name, command.states)
+            start = replace(start, about={"simulated": self.simulated, **start.about})
+            try:
+                run = self.runs.prepare(start, permit.until)
+            except RecordingError:
+                permit.check(command.name)  # raises if a STOP arrived or the recorder took too long
+                raise
+            try:
+                self._control.send(command(replace(start.task, run=run.number)), permit)
+            except RefusedError:
+                self.runs.refused(run)
+                raise
+            self.runs.accepted(run)
+        return run
 
     def reserve(self, why: str, permit: Permit) -> None:
         """Reserve the robot for a procedure: only `start_step` moves it until `release`. STOP and reset still work.
@@ -223,7 +297,7 @@ class Supervisor:
             VoidError: a STOP or a reset came after the request, or the permit has expired.
             RefusedError: the station is not READY, or the robot is already reserved.
         """
-        self.check(Transition.START, permit)
+        self.check("calibrate", Execute.states, permit)
         self._reserved = why
 
     def release(self) -> None:
@@ -239,7 +313,7 @@ class Supervisor:
         control = self._processes.control
         return NOTHING_MOVES if control is None else control.stop(cause)
 
-    def reset(self, who: str = "the operator", permit: Permit | None = None) -> str:
+    def reset(self, who: str = "the operator", permit: Permit | None = None, command: Reset = _RESET) -> str:
         """Reset the station after a person has checked the cause; restart processes that have died or hang.
 
         Simultaneous resets are merged into one. A reset voids every earlier request for a motion.
@@ -252,28 +326,30 @@ class Supervisor:
             RefusedError: there is nothing to reset.
             CtrError: a restarted process does not become ready.
         """
-        self._reset_permit = (permit or self.permit()).lasting()
+        command.check_fault(self._state.state)
+        self._reset_command, self._reset_permit = command, (permit or self.permit()).lasting()
         self._permits.void(f"reset by {who}", stop=False)
         return self._reset_once()
 
     def _reset(self) -> str:
-        recorder = ("the recorder",) if self._runs.renew() else ()
+        recorder = ("the recorder",) if self.runs.renew() else ()
         failed = self._processes.failed()
         if not failed:
             try:
-                self._send(Transition.RESET, self._reset_permit)
+                self._control.send(self._reset_command, self._reset_permit)
             except NoReply:
                 failed = self._processes.failed() or (CONTROL_LABEL,)
             except RefusedError:
                 if not recorder:
                     raise
         if failed:
-            self._reset_permit.check(Transition.RESET)
+            self._reset_command.check_fault(State.FAULT)
+            self._reset_permit.check(Reset.name)
             self._processes.end_failed(failed)
             self.ring.clear_timing()
             since = self.ring.written
             self._state.forget()
-            self._runs.forget()
+            self.runs.forget()
             self._processes.restart()
             self.wait_ready(RESTART_TIMEOUT_S, since)
         restarted = " and ".join((*recorder, *failed))
@@ -281,76 +357,12 @@ class Supervisor:
             self._flight_recorder.note("reset", f"restarted: {restarted}")
         return restarted and f"restarted: {restarted}"
 
-    def connect(self, permit: Permit | None = None) -> None:
-        """Search for the devices and connect them.
-
-        Raises:
-            RefusedError: the station is not OFF, or a procedure has reserved the robot.
-        """
-        self._send_if_free(Transition.CONNECT, permit)
-
-    def home(self, then: StartRequest | None = None, permit: Permit | None = None) -> None:
-        """Home every stage, then start the run `then`; the caller confirms that the path is clear.
-
-        Raises:
-            RefusedError: the state is neither CONNECTED nor READY, a procedure has reserved the robot, or the stages
-                cannot be homed.
-        """
-        if then is None:
-            self._send_if_free(Transition.HOME, permit)
-            return
-        permit = permit or self.permit()
-        self.check(Transition.HOME, permit)
-        self._start_run(Transition.HOME, then, permit)
-
-    def tare(self, permit: Permit | None = None) -> None:
-        """Tare the force sensors.
-
-        Raises:
-            RefusedError: the station is not READY, or a procedure has reserved the robot.
-        """
-        self._send_if_free("tare", permit)
-
-    def mark(self, text: str) -> None:
-        """Mark the present moment of the run in its recording.
-
-        Raises:
-            RefusedError: no run is being recorded.
-        """
-        self._runs.mark(text)
-
-    def jog(self, space: Space, velocity: Array, permit: Permit | None = None) -> None:
-        """Jog for the next 0.3 s: joints (n,) [rad/s or m/s], tip (3,) [m/s], or the tip's direction (3,) [rad/s].
-
-        Raises:
-            RefusedError: the station is not READY, a procedure has reserved the robot, or the tip's direction is not
-                controlled.
-        """
-        self._send_if_free("jog", permit, space=space, velocity=velocity)
-
-    def set_stiffness(self, axes: tuple[float, float, float], permit: Permit | None = None) -> None:
-        """Change the stiffness of the tip along its axes [N/m] in the present motion.
-
-        Raises:
-            RefusedError: the present motion has no stiffness, no motion runs, a procedure has reserved the robot, or
-                the stiffness is too low for the delay of the line.
-        """
-        self._send_if_free("stiffness", permit, stiffness=axes)
-
     def operator_gone(self) -> None:
         """React to the loss of the operator: the present run continues or ends in HOLD, as configured."""
         if self.bench.on_operator_loss == "hold" and self._state.state is State.RUNNING:
             cause = "the operator has disconnected; this station then ends a run in HOLD (on_operator_loss = 'hold')"
             with contextlib.suppress(RefusedError):  # the refusal means that the run has just ended
-                self._send(Transition.HOLD, cause=cause)
-
-    def apply_load(self, load: Load) -> None:
-        """Apply a load to the virtual lab's tip now; the load of the next motion replaces this load."""
-        self._processes.lab.apply_load(load)
-
-    def inject(self, faults: Sequence[LabFault]) -> None:
-        """Inject faults into the virtual lab's devices from now on; an empty sequence clears all faults."""
-        self._processes.lab.inject(faults)
+                self._control.send(Hold(cause))
 
     def end_control(self) -> StopOutcome:
         """Stop every axis and end the control process; nothing moves after this call.
@@ -365,47 +377,33 @@ class Supervisor:
         """Stop every axis, end the control process and the lab, and remove the shared memory."""
         self._processes.close()
         self.cameras.close()
-        self._runs.close()
+        self.runs.close()
         self._flight_recorder.close()
         self.ring.close(remove=True)
+
+    def _reservation(self) -> str:
+        """Return why only a procedure may move the robot now; empty if the robot is not reserved."""
+        return self._reserved
 
     def _check_free(self) -> None:
         if self._reserved:
             raise RefusedError(self._reserved)
 
-    def _send_if_free(self, what: CommandKind, permit: Permit | None, **about: Any) -> None:
-        self._check_free()
-        self._send(what, permit or self.permit(), **about)
+    @property
+    def _control(self) -> ControlHost:
+        """Host of the control process.
 
-    def _send(self, what: CommandKind, permit: Permit | None = None, **about: Any) -> None:
-        control = self._processes.control
-        if control is None:
+        Raises:
+            RefusedError: there is no control process.
+        """
+        if self._processes.control is None:
             raise RefusedError("the station was not started: there is no control process")
-        control.send_command(what, permit, **about)
+        return self._processes.control
 
     @property
     def simulated(self) -> bool:
         """Whether the devices belong to the station's virtual lab, or one of them reports that it is simulated."""
         return self.bench.devices is None or any(is_simulated(device.details) for device in self._state.devices)
-
-    def _start_run(self, what: Transition, start: StartRequest, permit: Permit) -> RunRequest:
-        """Prepare a run and let the control process execute it, now or after homing; one call at a time."""
-        with self._starting:
-            permit.check(what)
-            next_state(self._state.state, what)
-            start = replace(start, about={"simulated": self.simulated, **start.about})
-            try:
-                run = self._runs.prepare(start, permit.until)
-            except RecordingError:
-                permit.check(what)  # raises if a STOP arrived or the recorder took too long
-                raise
-            try:
-                self._send(what, permit, task=start.task, run=run.number)
-            except RefusedError:
-                self._runs.refused(run)
-                raise
-            self._runs.accepted(run)
-        return run
 
     # Reports of the processes
 
@@ -424,16 +422,17 @@ class Supervisor:
                 self._flight_recorder.note("stages", message.text)
 
     def _on_state(self, notice: StateNotice) -> None:
+        self._state.contact = notice.contact
         if self._state.set_reported(notice.state, notice.cause, notice.details):
             self._flight_recorder.state(notice.state, with_details(notice.cause, notice.details))
-            self._runs.state_changed(notice)
-        self._runs.on_state(notice)
-        self._processes.lab.motion(self._runs.find(notice.run), notice.motion_start)
+            self.runs.state_changed(notice)
+        self.runs.on_state(notice)
+        self.lab.motion(self.runs.find(notice.run), notice.motion_start)
 
     def _on_exit(self, ending: ExitReport) -> None:
         """React to the unexpected end of the control process; the `ControlHost` is already stopping the stages."""
         self._state.fault(ending.how, ending.stages, ending.details)
         cause = self._state.full_cause
         self._flight_recorder.state(State.FAULT, cause)
-        self._runs.interrupted(cause)
-        self._processes.lab.motion(None, None)
+        self.runs.interrupted(cause)
+        self.lab.motion(None, None)

@@ -19,9 +19,11 @@ import numpy as np
 
 from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.protocol import binary, framed
-from station.devices.aurora.session import AuroraSession, FrameQuality
+from station.devices.aurora.session import AuroraSession
+from station.devices.kernel.quality import Quality
 from station.lab.config import TrackerConfig
 from station.lab.simulated_aurora import SimulatedAurora
+from tests.harness.damage import spoiled
 
 #: Number of disturbed exchanges after which the session or the unit must prove that it still works.
 ROUND = 25
@@ -29,33 +31,6 @@ ROUND = 25
 #: the tools and starts tracking.
 PATIENCE = 30.0
 PERIOD = 1.0 / 40.0
-
-
-def disturb(data: bytes, draw: random.Random) -> bytes:
-    """Return `data` with one of the corruptions that a bad line causes."""
-    out = bytearray(data)
-    kind = draw.randrange(7)
-    if kind == 0 and out:  # bits flipped
-        for _ in range(draw.choice((1, 1, 2, 3, 4, 6, 12))):
-            out[draw.randrange(len(out))] ^= 1 << draw.randrange(8)
-    elif kind == 1 and out:  # a burst of errors
-        at = draw.randrange(len(out))
-        for i in range(at, min(len(out), at + draw.randrange(1, 20))):
-            out[i] = draw.randrange(256)
-    elif kind == 2:  # bytes are lost
-        for _ in range(draw.choice((1, 1, 2, 5))):
-            if out:
-                del out[draw.randrange(len(out))]
-    elif kind == 3:  # noise is inserted
-        at = draw.randrange(len(out) + 1)
-        out[at:at] = draw.randbytes(draw.randrange(1, 40))
-    elif kind == 4:  # the data is cut short
-        del out[draw.randrange(len(out) + 1) :]
-    elif kind == 5:  # noise replaces the data
-        out = bytearray(draw.randbytes(draw.randrange(80)))
-    else:  # the data is repeated, and the repetition overwrites its end
-        out = out[: draw.randrange(len(out) + 1)] + out
-    return bytes(out)
 
 
 def pieces(data: bytes, draw: random.Random) -> list[bytes]:
@@ -86,7 +61,7 @@ class Responder:
         elif name == "VER":
             return framed(f"Aurora\nFreeze Tag: AURORA Rev {'007' if self._old else '009'}\n")
         elif name == "PHSR":
-            return framed({"02": "010A001", "03": "010A011", "04": "010A031"}.get(rest[:2], "00"))
+            return framed({"02": "010A001", "03": "010A011", "00": "010A031"}.get(rest[:2], "00"))
         elif name == "PHINF":
             return framed("02000000NDI         0013A5C1D0031")
         elif name in ("BX", "TX"):
@@ -162,7 +137,7 @@ class HostLine:
                 elif fate == 2 and self._late:
                     answer = self._late.pop() + answer
                 else:
-                    answer = disturb(answer, draw)
+                    answer = spoiled(answer, draw)
             for piece in pieces(answer, draw) if bad else [answer]:
                 self._receive(piece)
             if bad and draw.random() < 0.1:
@@ -170,7 +145,7 @@ class HostLine:
 
     def _receive(self, data: bytes) -> None:
         for seen in self.session.receive(data, self.now):
-            if seen.quality is FrameQuality.GOOD:
+            if seen.quality is Quality.GOOD:
                 self.good += 1
                 true = self.responder.sent.get(seen.frame)
                 # TX sends a frame in decimals and BX in single precision, so differences up to 1e-4 mm are rounding.
@@ -186,9 +161,8 @@ class HostLine:
 
 
 COMMANDS = (
-    *("INIT:", "VER:0", "APIREV:", "BEEP:1", "SFLIST:00", "GETINFO:Features.Firmware.Version", "COMM:00000"),
-    *("PHSR:00", "PHSR:02", "PHSR:04", "PINIT:0a", "PENA:0AD", "PDIS:0A", "PHINF:0A0001", "PHINF:0a0075", "PHF:0A"),
-    *("TSTART:", "TSTART:80", "TSTOP:", "TX:0801", "BX:0801", "TX:0001", "BX:0001"),
+    *("INIT:", "VER:0", "COMM:00000", "PHSR:00", "PHSR:02", "PHSR:04", "PINIT:0a", "PENA:0AD"),
+    *("PHINF:0A0001", "PHF:0A", "TSTART:", "TSTOP:", "TX:0801", "BX:0801", "TX:0001", "BX:0001"),
 )
 
 
@@ -207,7 +181,7 @@ class DeviceLine:
         """Send one command; `bad`: disturb it."""
         command = self.draw.choice(COMMANDS)
         self.unit.executed.clear()
-        data = disturb(framed(command), self.draw) if bad else framed(command)
+        data = spoiled(framed(command), self.draw) if bad else framed(command)
         self.say(data)
         # A command that has lost only its CR is executed with the next CR, even if that CR is noise.
         self._said.add(command)

@@ -20,6 +20,7 @@ from station.lab.config import BaseSensorConfig
 from station.lab.endpoints import respond
 from station.lab.simulated_netft import SimulatedNetft
 from station.lab.wires import MemoryDatagramEnd
+from tests.harness.damage import spoiled
 
 #: Time after which a case counts as a hang [s].
 HANG = 10.0
@@ -60,23 +61,6 @@ def fuzz(cases: int, seed: int) -> dict[str, int]:
             print(f"{kind.__name__}: {error!r}", file=sys.stderr)  # noqa: T201
         found["hangs"] += time.perf_counter() - begin > HANG
     return found
-
-
-def _spoil(rng: random.Random, data: bytes) -> bytes:
-    """Return `data` with bytes cut, added, flipped, replaced or repeated."""
-    kind = rng.randrange(6)
-    at = rng.randrange(len(data) + 1)
-    if kind == 0:
-        return data[:at]
-    if kind == 1:
-        return data[:at] + rng.randbytes(rng.randint(1, 40)) + data[at:]
-    if kind == 2:
-        return data[:at] + data[at + rng.randint(1, 8) :]
-    if kind == 3:
-        return rng.randbytes(rng.choice([0, 1, 8, 14, 35, 36, 37, 72, 1500]))
-    if kind == 4:
-        return data[:at] + data[max(0, at - rng.randint(1, 60)) :]
-    return _flip(rng, data, rng.randint(1, 3))
 
 
 def _flip(rng: random.Random, data: bytes, bits: int) -> bytes:
@@ -126,7 +110,7 @@ def _host(rng: random.Random, found: dict[str, int], cases: int) -> None:
             held.append(data)
             sent = []
         elif dice < 0.90:
-            sent = [_spoil(rng, data)]
+            sent = [spoiled(data, rng)]
         else:
             sent = [_flip(rng, data, rng.randint(1, 2))]
         for datagram in sent:
@@ -186,19 +170,11 @@ def _device(rng: random.Random, found: dict[str, int], cases: int) -> None:
         found["cases"] += 1
         host = ("10.0.0.1", rng.randint(1, 5))
         data = struct.pack(">HHI", 0x1234, rng.choice(commands), rng.choice([0, 1, 3, 2**32 - 1, rng.randrange(2**32)]))
-        if rng.random() < 0.2:
-            data = struct.pack(
-                ">HHI4BH", 0x1234, 0x8000 | rng.choice(commands), 0, 10, 0, 0, rng.randint(1, 9), rng.randrange(65536)
-            )
         if rng.random() < 0.4:
-            data = _spoil(rng, data)
+            data = spoiled(data, rng)
         end.requests.append((data, host))
-        if data[:2] == b"\x12\x34" and (len(data), data[2] >> 7 if len(data) > 2 else 0) in ((8, 0), (14, 1)):
-            command = int.from_bytes(data[2:4], "big") & 0x7FFF
-            if command in (2, 3):
-                client = host if len(data) == 8 else (".".join(map(str, data[8:12])), int.from_bytes(data[12:], "big"))
-            elif command == 0:
-                client = None
+        if data[:2] == b"\x12\x34" and len(data) == 8:
+            client = {b"\x00\x02": host, b"\x00\x00": None}.get(data[2:4], client)
         end.served.clear()
         box.advance(number * 0.004, wrench)
         if not end.served <= {client}:
@@ -208,7 +184,7 @@ def _device(rng: random.Random, found: dict[str, int], cases: int) -> None:
 def _http(rng: random.Random, found: dict[str, int], cases: int) -> None:
     """Send a corrupted HTTP request to the box's page."""
     found["cases"] += 1
-    data = _spoil(rng, b"GET /netftapi2.xml?index=0 HTTP/1.1\r\nHost: box\r\nAccept: */*\r\n\r\n")
+    data = spoiled(b"GET /netftapi2.xml?index=0 HTTP/1.1\r\nHost: box\r\nAccept: */*\r\n\r\n", rng)
     answer = respond(data, lambda: PAGE)
     line = data.split(b"\r\n")[0].decode("latin-1").split(" ")
     asked = b"\r\n\r\n" in data and line[0] == "GET" and line[1].partition("?")[0] == "/netftapi2.xml"
@@ -220,7 +196,7 @@ def _http(rng: random.Random, found: dict[str, int], cases: int) -> None:
 def _page(rng: random.Random, found: dict[str, int], cases: int) -> None:
     """Read a corrupted configuration page, and compare the result with that of another XML reader."""
     found["cases"] += 1
-    data = _spoil(rng, PAGE)
+    data = spoiled(PAGE, rng)
     try:
         page = read_page(data)
     except PageError:
@@ -243,7 +219,7 @@ def _calibration(rng: random.Random, found: dict[str, int], cases: int) -> None:
     """Read a corrupted calibration file."""
     found["cases"] += 1
     try:
-        calibration = parse_calibration(_spoil(rng, CALIBRATION))
+        calibration = parse_calibration(spoiled(CALIBRATION, rng))
     except CalibrationError:
         return
     found["accepted"] += 1

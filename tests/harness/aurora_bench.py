@@ -19,8 +19,11 @@ REST = np.array([0.010, -0.020, 0.190])
 class AuroraBench:
     """Test bench that advances the simulated Aurora and its driver tick by tick."""
 
-    def __init__(self, settings: AuroraSettings | None = None, seed: int = 0, noise: float = 0.0, **unit: Any) -> None:
-        self.unit = SimulatedAurora(TrackerConfig(noise=noise), np.random.default_rng(seed), **unit)
+    def __init__(
+        self, settings: AuroraSettings | None = None, seed: int = 0, noise: float = 0.0, rate: float = 40.0, **unit: Any
+    ) -> None:
+        """`rate` is the number of frames that the unit measures per second."""
+        self.unit = SimulatedAurora(TrackerConfig(noise=noise, rate=rate), np.random.default_rng(seed), **unit)
         self.port = HostPort("aurora")
         self.tracker = AuroraTracker(self.port, settings, GENERATOR_POSE)
         self.now = 0.0

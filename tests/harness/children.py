@@ -1,4 +1,4 @@
-"""Child processes of a process. A child may end while it is looked at, and is then left out."""
+"""Child processes of a process; a child that ends during the query is left out."""
 
 from contextlib import suppress
 

@@ -65,8 +65,8 @@ def chromium(*flags: str) -> Iterator[Browser]:
 
 #: One element of each module of the page, which the modules add when they are loaded.
 MODULES = [
-    "#strip output", "#start .card", "#jog form", "#hands fieldset", "#devices h3", "#plots .chart", "#runs .acts",
-    "#calibrate > *", "#faults form", "#help", "#palette",
+    "#strip output", "#start :is(.card, form)", "#jog form", "#hands fieldset", "#devices h3", "#plots .chart",
+    "#runs .acts", "#calibrate > *", "#faults form", "#help", "#palette",
 ]  # fmt: skip
 
 

@@ -23,8 +23,8 @@ import psutil
 from core.errors import CtrError
 from station.control.clock import StationClock
 from station.lab.lab_server import devices_at
+from station.service.commands import Home, Start
 from station.service.station_file import load_station
-from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import CLOCK, SETTINGS
 from tests.harness.children import children
@@ -98,9 +98,8 @@ def main() -> None:
         supervisor.open()
         supervisor.wait_ready(NET)
         _settled(supervisor)
-        service = StationService(supervisor)
         for line in sys.stdin:
-            sys.stdout.write(f"{json.dumps(_answer(supervisor, service, line.strip()))}\n")
+            sys.stdout.write(f"{json.dumps(_answer(supervisor, line.strip()))}\n")
             sys.stdout.flush()
     finally:
         supervisor.close()
@@ -119,19 +118,19 @@ def _settled(supervisor: Supervisor) -> None:
         time.sleep(0.02)
 
 
-def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[str, Any]:
+def _answer(supervisor: Supervisor, what: str) -> dict[str, Any]:
     refused = note = ""
     try:
         match what:
             case "start":
-                service.start_experiment("demo")  # the demo first goes to its start pose
+                supervisor.send(Start(experiment="demo"))  # the demo first goes to its start pose
             case "stop":
                 note = supervisor.stop().text
             case "reset":
                 note = supervisor.reset()
                 _settled(supervisor)
             case "home":
-                supervisor.home()
+                supervisor.send(Home(way_is_clear=True, then_working_pose=False))
             case "gone":
                 supervisor.operator_gone()
             case "busy":
@@ -147,7 +146,7 @@ def _answer(supervisor: Supervisor, service: StationService, what: str) -> dict[
         "run": "" if status.run is None else status.run.id,
         "refused": refused,
         "note": note,
-        "recovered": [path.name for path in supervisor._runs.recorder.recovered],
+        "recovered": [path.name for path in supervisor.runs.recorder.recovered],
     }
 
 

@@ -4,26 +4,29 @@ Service, supervisor, control host and control loop are those of a live station, 
 Time passes only when the test advances it. A command is answered while the test waits, and the loop does not tick then.
 """
 
+import contextlib
 import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from typing import Any
 
 import pytest
 
 from station.config.controllers import PERIOD_S
 from station.control.clock import StationClock
+from station.control.commands import Connect, SetStiffness
 from station.control.driver_guard import DriverCalls
 from station.control.process import _LiveLoop
 from station.control.ring import STATION_HEARTBEAT, Ring
-from station.control.states import State
+from station.control.states import RefusedError, State
 from station.devices.config import BenchFile
 from station.service import control_host
+from station.service.commands import Home
 from station.service.station_file import Rig, load_station
-from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.virtual_station import VirtualStation
 from tests.harness.waiting import NET, until
@@ -58,25 +61,40 @@ class HandClock(StationClock):
             tick()
 
 
+class WatchedPipe:
+    """End of a pipe that passes each message on to `sent` after it was sent."""
+
+    def __init__(self, near: Connection, sent: Callable[[Any], None]) -> None:
+        self._near, self._sent = near, sent
+        self.recv, self.close = near.recv, near.close
+
+    def send(self, message: Any) -> None:
+        self._near.send(message)
+        self._sent(message)
+
+
 class PlayedControl:
     """Replacement of the control process: a thread that reads the pipe as the control process does."""
 
     newest: "PlayedControl"
+    looping: Callable[[Connection], _LiveLoop]  #: returns the loop of a new control process with this end of the pipe
+    sent: list[Callable[[Any], None]]  #: functions that are called with each message to the control process
     alive = True
     pid = 0
 
     def __init__(self, *_: object, **__: object) -> None:
-        self.pipe, self.far = Pipe()
+        near, self.far = Pipe()
+        self.pipe = WatchedPipe(near, lambda message: [each(message) for each in self.sent])
         self.turn = threading.Lock()  # held by the thread while it answers, and by the test while it ticks
-        self.live: _LiveLoop | None = None
+        self.live = type(self).looping(self.far)
         self.thread = threading.Thread(target=self._listen, name="played control")
         PlayedControl.newest = self
+        self.thread.start()
 
     def _listen(self) -> None:
         assert isinstance(self.far.recv(), BenchFile)
         while self.far.poll(None):
             with self.turn:
-                assert self.live is not None
                 if not self.live._listen(self.live._clock.now() - self.live._started):
                     break
         self.alive = False
@@ -86,10 +104,12 @@ class PlayedControl:
         self.pipe.send(message)
 
     def kill(self) -> None:
-        raise AssertionError("nothing here may have to be killed")
+        assert not self.alive, "nothing here may have to be killed"
 
     def end(self, _patience: float) -> None:
-        self.pipe.send(None)
+        """End the control process, also unexpectedly for the station."""
+        if self.alive:
+            self.pipe.send(None)
         self.thread.join()
 
     def ended(self, _patience: float | None = None) -> str:
@@ -99,10 +119,14 @@ class PlayedControl:
 class PlayedStation:
     """The station, with methods that advance its time."""
 
-    def __init__(self, supervisor: Supervisor, virtual: VirtualStation, clock: HandClock, live: _LiveLoop) -> None:
-        self.supervisor, self.service = supervisor, StationService(supervisor)
-        self.virtual, self.clock, self._live = virtual, clock, live
+    def __init__(self, supervisor: Supervisor, virtual: VirtualStation, clock: HandClock) -> None:
+        self.supervisor = supervisor
+        self.virtual, self.clock = virtual, clock
         self._tick = 0
+
+    @property
+    def _live(self) -> _LiveLoop:
+        return PlayedControl.newest.live
 
     @property
     def state(self) -> State:
@@ -119,6 +143,25 @@ class PlayedStation:
                 self._live._tick(self._tick)
                 self._tick += 1
 
+    def kill_control(self) -> None:
+        """End the control process; wait until the station reports it. A reset starts another one."""
+        control = self.supervisor._processes.control
+        assert control is not None
+        PlayedControl.newest.end(0.0)
+        until(control._over.is_set)
+        self.virtual.loop.stop(self.virtual.now)  # as the fallback stop does, which uses the ports of real stages
+        for _ in range(100):
+            self.clock.pass_(PERIOD_S)
+            self._tick += 1
+            self.virtual.lab.advance(self._tick * PERIOD_S)
+            self.virtual.devices.stages.poll(self._tick * PERIOD_S)
+
+    def reported(self) -> None:
+        """Wait until the station has received every report of the past ticks."""
+        with contextlib.suppress(RefusedError):
+            # It is refused without a contact; its answer follows the earlier reports.
+            self.supervisor.command_control(SetStiffness(stiffness=(1.0, 1.0, 1.0)))
+
     def becomes(self, state: State, most: float = 60.0) -> None:
         for _ in range(round(most / PERIOD_S)):
             if self.state is state:
@@ -129,16 +172,16 @@ class PlayedStation:
     def settle(self) -> None:
         """Return the station to READY, whatever its state is."""
         self.supervisor.stop()
-        if self.state is State.STOPPED:
+        if self.state in (State.STOPPED, State.FAULT):
             self.supervisor.reset()
         self.tick(200)  # until the axes are at rest
         if self.state is State.OFF:  # a STOP was sent while a reset connected the devices again
-            self.supervisor.connect()
+            self.supervisor.send(Connect())
             self.tick()
         while self.state in (State.OFF, State.CONNECTING):
             self.tick()
         if self.state is State.CONNECTED:
-            self.supervisor.home()
+            self.supervisor.send(Home(way_is_clear=True, then_working_pose=False))
         self.becomes(State.READY)
 
 
@@ -151,13 +194,17 @@ def played_station(virtual: VirtualStation) -> Iterator[PlayedStation]:
         patch.setattr(control_host, "ChildProcess", PlayedControl)
         supervisor = Supervisor(bench)
         ring: Ring = supervisor.ring
-        supervisor._processes.lab.open()
+        loops = iter([virtual.loop])
+
+        def looping(far: Connection) -> _LiveLoop:
+            loop = next(loops, None) or virtual.restart_loop()
+            return _LiveLoop(loop, DriverCalls(ring, clock), bench.control, ring, far, os.getppid())
+
+        patch.setattr(PlayedControl, "looping", staticmethod(looping), raising=False)
+        patch.setattr(PlayedControl, "sent", [], raising=False)
+        supervisor.lab.open()
         supervisor._processes._start_control()  # without the watchdog, which uses the computer's time
-        control = PlayedControl.newest
-        live = _LiveLoop(virtual.loop, DriverCalls(ring, clock), bench.control, ring, control.far, os.getppid())
-        control.live = live
-        control.thread.start()
-        station = PlayedStation(supervisor, virtual, clock, live)
+        station = PlayedStation(supervisor, virtual, clock)
         clock.ticks.append(station.tick)
         try:
             station.tick()

@@ -71,6 +71,7 @@ class Served:
         elif state == "OFF":
             self.post("/api/connect")
         self.rest.delete("/api/faults")
+        self.post("/api/load", {"load": {"kind": "none"}})  # an obstacle of the lab stays after its run
         if self.status()["state"] in ("STOPPED", "HOLD", "FAULT"):
             self.post("/api/reset")
         status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"])
@@ -83,7 +84,7 @@ class Served:
 
     def _go_to_the_usual_pose(self) -> None:
         """Move the robot to the usual pose, for example after homing, by an experiment that starts there."""
-        assert self.post("/api/start", {"experiment": "fig7"}).status_code == 202
+        until(lambda: self.post("/api/start", {"experiment": "fig7"}).status_code == 202)  # once the force has decayed
         self.wait_for(lambda status: status["phase"] in ("settling", "moving"))
         self.post("/api/stop")
         self.post("/api/reset")

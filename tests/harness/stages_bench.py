@@ -1,18 +1,19 @@
 """Three simulated stages of any kind with their driver, in virtual time."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from station.config.robots import RobotFile
 from station.devices.interfaces import Condition, JointReading, Stages
-from station.devices.zaber.setup import StageSetup
-from station.lab.config import StagesKind
-from station.lab.simulated_stages import STAGES, SimulatedStages
-from station.lab.simulated_zaber import pump
+from station.lab.simulated_line import pump
+from station.lab.simulated_stages import STAGES, StagesInLab, simulated_stages
 from station.lab.wires import HostPort
+from tests.harness.imaginary_stages import IMAGINARY
 
+#: Simulated stages by their names, with those of a protocol that only the tests have.
+KINDS: Mapping[str, StagesInLab] = {**STAGES, "imaginary": IMAGINARY}
 TICK = 0.002
 START = (0.0, math.pi / 2, -0.100)
 
@@ -21,13 +22,13 @@ class StagesBench:
     """The stages of a robot on one line."""
 
     def __init__(
-        self, robot: RobotFile, kind: StagesKind, at: Sequence[float] = START, homed: bool = True, seed: int = 0
-    ) -> None:
-        self.setups = [StageSetup.of(joint, number) for number, joint in enumerate(robot.joints, 1)]
+        self, robot: RobotFile, kind: str, at: Sequence[float] = START, homed: bool = True, seed: int = 0,
+        variant: str = "usual",
+    ) -> None:  # fmt: skip
+        self.robot = robot
+        self.setups, self.simulated = simulated_stages(robot, KINDS[kind], at, homed, seed, variant)
         self.host = HostPort(kind)
-        places = [(q - s.home_at) / s.joint.microstep for q, s in zip(at, self.setups, strict=True)]
-        self.simulated: SimulatedStages = STAGES[kind].simulate(self.setups, places, homed, seed)
-        self.stages: Stages = STAGES[kind].driver(self.setups, self.host)
+        self.stages: Stages = KINDS[kind].on(self.host, robot)
         self.now = 0.0
         self.reading: JointReading = self.stages.poll(self.now)
         self.truth = self.positions
@@ -47,6 +48,18 @@ class StagesBench:
                 self.stages.command(np.array(velocities(self.now)), self.now)
             self.let_pass()
         return self
+
+    def worst_errors(self, seconds: float, velocities: Callable[[float], Sequence[float]]) -> np.ndarray:
+        """Run as `run` does, and return the largest errors of the driver's positions (n,) [rad or m]."""
+        worst = np.zeros(len(self.setups))
+
+        def track(now: float) -> Sequence[float]:
+            nonlocal worst
+            worst = np.maximum(worst, np.abs(self.reading.positions - self.truth))
+            return velocities(now)
+
+        self.run(seconds, track)
+        return worst
 
     def let_pass(self, seconds: float = TICK) -> None:
         """Let the simulated stages run while the driver does nothing."""

@@ -32,9 +32,12 @@ def true_views(lab: str) -> dict[str, CalibratedView]:
 def write_true_views(lab: str, folder: Path) -> Path:
     """Write `cameras.toml` with the true views to a folder, and return the folder."""
     folder.mkdir(parents=True, exist_ok=True)
-    lines: list[str] = []
+    lines = ['robot = "paper"', 'made = "true views"', "[board]", "square = 0.02"]
+    cameras = load_lab(lab, load_robot("paper")).cameras
     for name, view in true_views(lab).items():
+        camera = cameras[name]
         lines += [
+            f"[cameras.{name}]", f'device = "{camera.device}"', f"width = {camera.width}", f"height = {camera.height}",
             f"[cameras.{name}.lens]", f"focal = {list(view.lens.focal)}", f"centre = {list(view.lens.centre)}",
             f"[cameras.{name}.pose]", f"position = {list(view.pose.position)}",
             f"rotation_vector = {list(view.pose.rotation_vector)}",

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import viser
 
 from station.control.states import State
+from station.service.commands import Home
 from station.service.station_file import load_station
-from station.service.station_service import StationService
 from station.service.supervisor import Supervisor
 from tests.harness.calm import SETTINGS
 from tests.harness.waiting import NET, until
@@ -20,12 +20,8 @@ class Viewed(NamedTuple):
     """A live station and its view."""
 
     server: viser.ViserServer
-    service: StationService
+    supervisor: Supervisor
     view: SceneView
-
-    @property
-    def supervisor(self) -> Supervisor:
-        return self.service.supervisor
 
     def make_ready(self) -> None:
         until(lambda: self.supervisor.status().state is not State.HOMED)  # the controller is starting
@@ -35,7 +31,7 @@ class Viewed(NamedTuple):
             self.supervisor.reset()
             until(lambda: self.supervisor.status().state in (State.READY, State.CONNECTED))
         if self.supervisor.status().state is State.CONNECTED:
-            self.supervisor.home()
+            self.supervisor.send(Home(way_is_clear=True, then_working_pose=False))
         until(lambda: self.supervisor.status().state is State.READY)
 
 
@@ -50,10 +46,9 @@ def viewing() -> Iterator[Viewed]:
         supervisor.wait_ready(NET)
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
-            service = StationService(supervisor)
-            view = SceneView(server, service)
+            view = SceneView(server, supervisor)
             try:
-                yield Viewed(server, service, view)
+                yield Viewed(server, supervisor, view)
             finally:
                 view.close()
         finally:

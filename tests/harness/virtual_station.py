@@ -1,6 +1,7 @@
 """A whole bench in virtual time for the tests of faults: plant, serial lines, drivers and the control loop."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from station.control.loop import ControlLoop
 from station.control.monitors import Margins
 from station.control.states import State
 from station.control.task import MotionTask, Phase, StreamRequest
+from station.devices.cameras import CalibratedView
 from station.experiments.experiment import Case
 from station.lab.faults import LabFault
 from station.lab.simulated_bench import SimulatedBench
@@ -30,17 +32,31 @@ def usual_case() -> Case:
 class VirtualStation:
     """A control loop on devices that are simulated at wire level; the test ticks it."""
 
-    def __init__(self, case: Case, margins: Margins | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        case: Case,
+        margins: Margins | None = None,
+        seed: int = 0,
+        views: Mapping[str, CalibratedView] = MappingProxyType({}),
+    ) -> None:
+        """Connect the devices of a case; `views` are the calibrated lenses and poses of its cameras."""
         self.case = case
-        lab, self.devices = virtual_bench(case.robot, case.lab, seed, case.start)
+        lab, self.devices = virtual_bench(case.robot, case.lab, seed, case.start, views=views)
         assert isinstance(lab, SimulatedBench)
         self.lab = lab
+        self._margins = margins
         self.loop = ControlLoop(case.controller, self.devices, margins)
         self.rows: list[Array] = []
         self.now = -PERIOD_S
         #: Function that returns the latest streamed setpoint at a time [s].
         self.request: Callable[[float], StreamRequest | None] = lambda _: None
         self.loop.connect(0.0)
+
+    def restart_loop(self) -> ControlLoop:
+        """Replace the control loop by another one, which connects the devices, as a new control process does."""
+        self.loop = ControlLoop(self.case.controller, self.devices, self._margins)
+        self.loop.connect(self.now)
+        return self.loop
 
     @property
     def state(self) -> State:

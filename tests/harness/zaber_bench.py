@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from station.config.robots import RobotFile
+from station.devices.interfaces import Condition
+from station.devices.kernel.stages import Port
 from station.devices.links.link import Link
-from station.devices.zaber.setup import PortSetup, StageSetup
-from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.simulated_zaber import SimulatedChain, pump
+from station.devices.zaber.setup import StageSetup
+from station.devices.zaber.stages import zaber_stages
+from station.lab.simulated_line import pump
+from station.lab.simulated_zaber import Unit, UnitKind, simulated_chain
 from station.lab.wires import HostPort
-from station.lab.zaber_unit import Unit, UnitKind
 
 TICK = 0.002
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -40,19 +42,19 @@ class Bench:
             place = (q - setup.home_at) / setup.joint.microstep
             self.units.append(Unit(kind, setup.device, place, place + setup.home_count if homed else None))
         groups = ((0,), (1,), (2,)) if apart else ((0, 1, 2),)
-        self.chains = [SimulatedChain([self.units[i] for i in group], seed) for group in groups]
+        self.chains = [simulated_chain([self.units[i] for i in group], seed) for group in groups]
         self.chain = self.chains[0]
         self.now = 0.0
         self.truth = self.places  #: joint positions at the last poll
         self.ports = self.plug(groups)
-        self.stages = ZaberStages(self.setups, self.ports)
+        self.stages = zaber_stages(self.setups, self.ports)
         self.order: list[int] = []  # units in the order in which they started homing
 
-    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[PortSetup]:
+    def plug(self, groups: Sequence[tuple[int, ...]] = ((0, 1, 2),)) -> list[Port]:
         """Return new links, as if a serial adapter had been unplugged and plugged in again."""
         self.near = [HostPort(f"line {k}") for k in range(len(groups))]
         self.far: list[Link] = [host.device for host in self.near]
-        return [PortSetup(host, group) for host, group in zip(self.near, groups, strict=True)]
+        return [Port(host, group) for host, group in zip(self.near, groups, strict=True)]
 
     def run(
         self,

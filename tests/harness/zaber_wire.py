@@ -1,8 +1,8 @@
-"""The host's end of a simulated Zaber chain, byte by byte in virtual time."""
+"""The host's end of a simulated Zaber chain, at the level of bytes, in virtual time."""
 
 from station.devices.zaber.protocol import ZaberMessage, ZaberParser, encode
-from station.lab.simulated_zaber import SimulatedChain
-from station.lab.zaber_unit import UnitKind
+from station.lab.simulated_line import SimulatedLine
+from station.lab.simulated_zaber import Unit, UnitKind
 
 ROTARY = UnitKind(4421, None, 1_536_000)
 LINEAR = UnitKind(4332, 604_724, serial=1001)
@@ -14,7 +14,7 @@ SPEED, RAMP = 9.375, 11250.0
 class Wire:
     """The host's end of a simulated Zaber chain."""
 
-    def __init__(self, chain: SimulatedChain) -> None:
+    def __init__(self, chain: SimulatedLine[Unit]) -> None:
         self.chain = chain
         self.now = 0.0
         self.received: list[tuple[float, ZaberMessage]] = []

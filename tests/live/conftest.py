@@ -1,6 +1,5 @@
 """Fixtures of all live tests: a running station for each module, and the command line."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -9,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.root import ROOT
 from tests.harness.serving import Served, serving
 from tests.harness.shared import Shared
 from tests.harness.waiting import NET
@@ -17,7 +15,7 @@ from tests.harness.waiting import NET
 HERE = Path(__file__).parent
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Order the tests: browser tests first, then other live tests, then the rest; tests that share a station together.
 
     One worker then runs the browsers, whose drawing occupies a processor, and the shared stations end early.
@@ -28,16 +26,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     faults = {item.path for item in items if "lone" in item.fixturenames}
     first = (live, pages, sharing, faults)
     items.sort(key=lambda item: (*(item.path not in paths for paths in first), "lone" not in item.fixturenames))
+    config.stash[_SHARING] = sharing
 
 
 _SHARED = pytest.StashKey[Shared[Served]]()
+#: Files with tests that share the station.
+_SHARING = pytest.StashKey[set[Path]]()
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
-    """End the shared station before a test that does not use it; the station occupies a quarter of a processor."""
+    """End the shared station before a file that does not use it; the station occupies a quarter of a processor."""
     yield
-    if nextitem is None or not _shares_the_station(nextitem):
+    if nextitem is None or nextitem.path not in item.config.stash.get(_SHARING, ()):
         _shared(item.session).end()
 
 
@@ -66,12 +67,6 @@ def station(running: Served) -> Served:
     """Return the running station, READY and without an operator."""
     running.ready()
     return running
-
-
-@pytest.fixture(scope="session")
-def environment() -> dict[str, str]:
-    """Return the environment variables with which a process finds this project from any folder."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterable
 from html import escape
 from pathlib import Path
+from urllib.parse import quote
 
 from station.config.strict import preset_names
 from station.experiments.experiment import load_experiment
@@ -30,9 +31,14 @@ PANEL = """<section><h2>Browser panel</h2>
 <img alt="the panel with the light theme" src="panel/run.png">
 <img alt="the panel with the dark theme" src="panel/dark.png"></section>
 """
-SECTION = """<section><h2>{title}</h2><p><code>{name}</code> · <a href="{name}/replay.html">3D replay</a> ·
-<a href="{name}/report.html">report</a></p><img alt="{name}: first figure of the report" src="{figure}"></section>
+SECTION = """<section><h2>{title}</h2><p><code>{name}</code> · <a href="{path}/replay.html">3D replay</a> ·
+<a href="{path}/report.html">report</a></p><img alt="{name}: first figure of the report" src="{figure}"></section>
 """
+
+
+def section(name: str, title: str, figure: str) -> str:
+    """Return the section of an experiment; `figure` is the path of its picture in the gallery."""
+    return SECTION.format(name=escape(name), title=escape(title), path=quote(name), figure=quote(figure))
 
 
 def exhibit(name: str, out: Path) -> str:
@@ -45,7 +51,7 @@ def exhibit(name: str, out: Path) -> str:
     write_player(run, folder / "replay.html", lambda done: None)
     figure = sorted(folder.glob("*.png"))[0]
     title = load_experiment(name).title or name
-    return SECTION.format(name=escape(name), title=escape(title), figure=figure.relative_to(out).as_posix())
+    return section(name, title, figure.relative_to(out).as_posix())
 
 
 def panel(out: Path) -> str:

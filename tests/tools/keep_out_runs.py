@@ -25,7 +25,7 @@ import numpy as np
 from core.model.backbone import backbone
 from core.robot.keep_out import KeepOut
 from core.robot.robot import Array
-from station.benchmarks.bench import timed_steps
+from station.benchmarks.headless import timed_steps
 from station.config.loads import RampLoad
 from station.config.motions import WaypointsMotion
 from station.config.regions import MeshRegion, RegionFile, SphereRegion, keep_out

@@ -1,8 +1,8 @@
-"""Run a sweep on a Dask cluster that loses a worker and its client: `python -m tests.tools.killed_sweep 200`.
+"""Carry out a sweep that is killed and continued: `python -m tests.tools.killed_sweep 60`.
 
-The cluster is a scheduler and two workers, real processes on this computer. After a third of the runs one worker is
-killed for good. After two thirds the client is killed, and the same command is started again. The result is compared
-row by row with the same sweep on local processes.
+The sweep is carried out three times: on two local processes without interruption, on two local processes, and on a Dask
+cluster of a scheduler and two workers. In the last two, a worker is killed after a third of the runs, and the command
+after half of them, each with kill -9; the same command continues. The three tables are compared.
 """
 
 import json
@@ -11,40 +11,32 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.harness.cases import SHORT
+from tests.harness.children import children
 from tests.harness.root import ROOT
 from tests.harness.waiting import until
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "100"}
+#: Option for the simulated times of the runs of the first and the second half [s]: a client that is killed after half
+#: of the runs has not finished the others.
+DURATIONS = "duration=0.2,10.0"
 
-
-class Figures(NamedTuple):
-    """Result of a sweep whose worker and client were killed."""
-
-    worker_killed_at: int  #: number of finished runs when the worker was killed
-    client_killed_at: int
-    rows: list[Mapping[str, Any]]  #: rows of the sweep's manifest
-    local: list[Mapping[str, Any]]
-    status: int  #: exit status of the client that was started again
-    said: str  #: output of the client that was started again
-    before_s: float  #: time until the client was killed [s]
-    after_s: float  #: run time of the client that was started again [s]
-    local_s: float
+Client = subprocess.Popen[Any]
 
 
 class Cluster(NamedTuple):
     """A Dask scheduler, to which workers can be added."""
 
     address: str
-    scheduler: subprocess.Popen[bytes]
-    start: Callable[..., subprocess.Popen[bytes]]
+    scheduler: Client
+    start: Callable[..., Client]
 
-    def worker(self, first: str = "") -> subprocess.Popen[bytes]:
+    def worker(self, first: str = "") -> Client:
         """Add a worker process that is not restarted; it executes the code `first` before anything else."""
         options = ("--host=127.0.0.1", "--no-nanny", "--nthreads=1", "--no-dashboard")
         return self.start("dask_worker", first, self.address, *options)
@@ -55,7 +47,7 @@ def cluster(folder: Path, workers: int, environment: Mapping[str, str] = ENVIRON
     """Yield a cluster of separate processes that have not imported the sweep; their logs are in the folder."""
     with ExitStack() as ends:
 
-        def start(module: str, first: str, *arguments: str) -> subprocess.Popen[bytes]:
+        def start(module: str, first: str, *arguments: str) -> Client:
             log = ends.enter_context((folder / f"{module}.log").open("ab"))
             code = f"{first}\nfrom distributed.cli.{module} import main\nmain()"
             command = [sys.executable, "-c", code, *arguments]
@@ -77,8 +69,8 @@ def cluster(folder: Path, workers: int, environment: Mapping[str, str] = ENVIRON
 
 def sweep_command(experiment: Path, runs: int, folder: Path, *options: str) -> list[str]:
     """Return the command of a sweep with `runs` runs, which must be an even number."""
-    swept = ("--seeds", str(runs // 2), "--set", "controller.k1=1,2.5")
-    return [sys.executable, "-m", "station", "sweep", str(experiment), *swept, "--folder", str(folder), *options]
+    swept = ("--seeds", str(runs // 2), "--set", DURATIONS, "--folder", str(folder))
+    return [sys.executable, "-m", "station", "sweep", str(experiment), *swept, *options]
 
 
 def rows(manifest: Path) -> list[Mapping[str, Any]]:
@@ -89,7 +81,7 @@ def rows(manifest: Path) -> list[Mapping[str, Any]]:
     return [json.loads(line) for line in lines]
 
 
-def wait_for_rows(folder: Path, count: int, client: subprocess.Popen[Any]) -> int:
+def wait_for_rows(folder: Path, count: int, client: Client) -> int:
     """Wait until a sweep has `count` rows, however long it takes; fail if its client ends before."""
     while len(found := rows(folder / "manifest.jsonl")) < count:
         assert client.poll() is None, "the sweep has ended"
@@ -97,54 +89,82 @@ def wait_for_rows(folder: Path, count: int, client: subprocess.Popen[Any]) -> in
     return len(found)
 
 
-def without_clock(found: list[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """Return the rows in the order of the runs, without the columns that depend on the computer's clock."""
-    kept = [{key: value for key, value in row.items() if key != "wall_s"} for row in found]
-    return sorted(kept, key=lambda row: row["run"])
+class Sweep(NamedTuple):
+    """A completed sweep."""
+
+    killed_at: Sequence[int]  #: numbers of finished runs when the worker and the client were killed
+    printed: str  #: what the last command has printed on stderr
+    table: Mapping[str, Any]  #: `table` of the sweep
 
 
-def killed_sweep(folder: Path, runs: int) -> Figures:
-    """Run the whole scenario in a folder and return its result."""
-    experiment, dask, local = folder / "own.toml", folder / "dask", folder / "local"
-    experiment.write_text(SHORT.replace("duration = 1.0", "duration = 0.2"), encoding="utf-8")
+def table(summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the results of a sweep without what depends on the computer's clock and on the folder."""
+    runs = [{key: value for key, value in row.items() if key != "wall_s"} for row in summary["runs"]]
+    return {**summary, "runs": runs, "wall_s": 0.0, "recording": ""}
+
+
+def swept(
+    command: Sequence[str], runs: int, *, kill_worker: Callable[[Client], None] | None = None, kill_client: bool = False
+) -> Sweep:
+    """Carry out a sweep, kill a worker after a third of the runs and the command after half of them, and repeat it."""
+    folder, killed_at = Path(command[command.index("--folder") + 1]), list[int]()
+
+    def start() -> Client:
+        pipe = subprocess.PIPE
+        return subprocess.Popen([*command, "--json"], env=ENVIRONMENT, stdout=pipe, stderr=pipe, text=True)
+
+    client = start()
+    try:
+        if kill_worker is not None:
+            killed_at.append(wait_for_rows(folder, runs // 3, client))
+            kill_worker(client)
+        if kill_client:
+            wait_for_rows(folder, runs // 2, client)
+            client.kill()
+            client.communicate()
+            killed_at.append(len(rows(folder / "manifest.jsonl")))
+            client = start()
+        out, errors = client.communicate()
+    finally:
+        client.kill()
+        client.wait()
+    assert client.returncode == 0, errors
+    return Sweep(killed_at, errors, table(json.loads(out)))
+
+
+def kill_process(client: Client) -> None:
+    """Kill a worker process that a sweep has started, locally or with Dask."""
+    children(client.pid, word="spawn_main")[0].kill()
+
+
+def experiment_in(folder: Path) -> Path:
+    """Write the experiment of the sweeps and return its file."""
+    path = folder / "own.toml"
+    path.write_text(SHORT, encoding="utf-8")
+    return path
+
+
+def killed_sweeps(folder: Path, runs: int) -> tuple[Sweep, Sweep, Sweep]:
+    """Return the sweep on processes, the same sweep killed and continued, and both again on a cluster."""
+    experiment, local = experiment_in(folder), ("--jobs", "2")
+    whole = swept(sweep_command(experiment, runs, folder / "whole", *local), runs)
+    command = sweep_command(experiment, runs, folder / "killed", *local)
+    killed = swept(command, runs, kill_worker=kill_process, kill_client=True)
     with cluster(folder, 1) as there:
         victim = there.worker()
-        command = sweep_command(experiment, runs, dask, "--scheduler", there.address)
-        begin = time.perf_counter()
-        client = subprocess.Popen(command, cwd=folder, env=ENVIRONMENT, stderr=subprocess.DEVNULL)
-        try:
-            first = wait_for_rows(dask, runs // 3, client)
-            victim.kill()
-            wait_for_rows(dask, 2 * runs // 3, client)
-        finally:
-            client.kill()
-            client.wait()
-        before = time.perf_counter() - begin
-        second = len(rows(dask / "manifest.jsonl"))
-        begin = time.perf_counter()
-        again = subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
-        after = time.perf_counter() - begin
-    begin = time.perf_counter()
-    command = sweep_command(experiment, runs, local, "--jobs", "2")
-    subprocess.run(command, cwd=folder, env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
-    wall = time.perf_counter() - begin
-    found, alone = (rows(place / "manifest.jsonl") for place in (dask, local))
-    said = again.stdout + again.stderr
-    return Figures(first, second, found, alone, again.returncode, said, before, after, wall)
+        command = sweep_command(experiment, runs, folder / "dask", "--scheduler", there.address)
+        return whole, killed, swept(command, runs, kill_worker=lambda _: victim.kill(), kill_client=True)
 
 
 def main() -> None:
-    """Run the scenario and print its result."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    """Carry out the sweeps and print their results."""
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 60
     with tempfile.TemporaryDirectory(prefix="ctr-sweep-") as folder:
-        found = killed_sweep(Path(folder), runs)
-    once = len({row["run"] for row in found.rows})
-    equal = without_clock(found.rows) == without_clock(found.local)
-    print(f"{found.said.strip()}\n")  # noqa: T201
-    print(f"{runs} runs; a worker was killed after {found.worker_killed_at}, the client after {found.client_killed_at}")  # noqa: T201
-    print(f"rows {len(found.rows)}, of different runs {once}, all equal to those of processes: {equal}")  # noqa: T201
-    print(f"{found.before_s:.0f} s, then {found.after_s:.0f} s; on two processes {found.local_s:.0f} s")  # noqa: T201
-    sys.exit(0 if found.status == 0 and len(found.rows) == once == runs and equal else 1)
+        whole, killed, dask = killed_sweeps(Path(folder), runs)
+    print(f"{len(whole.table['runs'])} runs; worker and client killed after:")  # noqa: T201
+    for name, sweep in (("processes", killed), ("Dask", dask)):
+        print(f"{name}: {sweep.killed_at} runs; same table: {sweep.table == whole.table}")  # noqa: T201
+    sys.exit(0 if whole.table == killed.table == dask.table else 1)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,20 @@
 """Measure the punctuality of the control loop while browsers or gateway clients use the station.
 
-    python -m tests.tools.loop_beside [nothing] [page] [gateway] [cameras] [--seconds S] [--times N] [--config FILE]
+    python -m tests.tools.loop_beside [nothing] [page] [gateway] [crtk] [cameras] [--seconds S] [--times N]
+                                      [--config FILE]
 
 `ctr-station bench loop` runs only the control process, the lab and the recorder. Here the web server shares their
-processors; `page` adds a Chromium that draws the page, `gateway` adds all four protocols with two clients each, and
-`cameras` adds two simulated cameras (640 x 480, 30 frames/s), which the run records and whose pictures a client views.
-Separate stations take turns, each with one recorded motion under load. The output has the loop's timing, the time that
-the hypervisor has taken from this computer, and the ratio of the medians to those of the first named setup. A station
-file with `fifo = false` measures without real-time scheduling.
+processors; `page` adds a Chromium that draws the page, `gateway` adds all four protocols with two clients each, `crtk`
+adds a client of ROS 2 that moves the tip by `servo_cp` at 200 Hz and receives every topic, and `cameras` adds two
+simulated cameras (640 x 480, 30 frames/s), which the run records and whose pictures a client views. Separate stations
+take turns, each with one recorded motion under load (`crtk`: without load). The output has the loop's timing, the time
+that the hypervisor has taken from this computer, and the ratio of the medians to those of the first named setup. A
+station file with `fifo = false` measures without real-time scheduling.
 """
 
 import argparse
 import json
+import math
 import os
 import socket
 import statistics
@@ -20,10 +23,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import psutil
 import pylsl
 from websockets.sync.client import connect
@@ -32,7 +37,10 @@ from websockets.typing import Subprotocol
 from station.benchmarks.loop import TimerProbe, figures, stolen_seconds
 from station.benchmarks.served import ServedStation as TelemetryOf
 from station.config.robots import load_robot
+from station.control.ring import RUN, Ring
+from station.control.telemetry import Channels
 from tests.harness.chromium import SIZE, chromium
+from tests.harness.crtk_peer import POSE, Peer, pose, xyz
 from tests.harness.gateway_clients import zenoh_session
 from tests.harness.serving import Served, free_port, serving
 
@@ -40,6 +48,8 @@ MOTION = {
     "trajectory": {"kind": "circle", "radius": 0.010, "period": 20.0},
     "load": {"kind": "raised_cosine", "peak": 0.3, "period": 15.0},
 }
+#: Agreement of a run for targets, which a busy computer does not end.
+TARGETS = {"reach": 0.03, "silence": 2.0, "end": 30.0}
 #: Time for the clients to connect, and time from the start of the run until the robot moves [s].
 BEGUN, MOVING = 10.0, 5.0
 #: Tables of two simulated cameras at right angles.
@@ -130,6 +140,51 @@ def ros2(port: int) -> None:
         time.sleep(1e6)
 
 
+@contextmanager
+def crtk(_: Served, ports: dict[str, int]) -> Iterator[None]:
+    """Keep a client of CRTK connected that sends `servo_cp` at 200 Hz and receives all messages."""
+    context = get_context("spawn")
+    started = context.Event()
+    process = context.Process(target=servo, args=(ports["ros2"], started), daemon=True)
+    process.start()
+    assert started.wait(120.0)
+    yield
+    assert process.is_alive()
+    process.kill()
+    process.join()
+
+
+def servo(port: int, started: Event) -> None:
+    """Move the tip on a circle; the part of y below 1 mm has the time of sending [s, up to 1000], 1 um for a second."""
+    peer = Peer(port, "servo")
+    peer.session.declare_subscriber("0/**", lambda _: None)
+    peer.subscribe("setpoint_cp", POSE)
+    x, y, z = xyz(peer.wait("setpoint_cp", lambda message: message.header.stamp.sec).pose.position)
+    peer.advertise("servo_cp", POSE)
+    started.set()
+    due = time.monotonic()
+    while True:
+        now = time.monotonic()
+        angle = 0.5 * now
+        sent = math.floor(1e3 * y) / 1e3 + 1e-6 * (now % 1000.0)
+        peer.send("servo_cp", pose((x + 0.004 * math.sin(angle), sent, z + 0.004 * math.cos(angle))))
+        due = max(due + 0.005, now)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def delays_ms(ring: Ring) -> dict[str, float]:
+    """Return the delays from the sending of each `servo_cp` to the tick that is the first to use it [ms]."""
+    rows, channels = ring.read(0)[0], Channels(load_robot("paper").robot())
+    latest, row = ring.request(int(ring.counters[RUN])), ring.latest()
+    if latest is None or latest.setpoint is None or row is None:
+        return {"count": 0}  # a busy computer has stopped the run, or the client has not started yet
+    start = latest.setpoint.time - float(channels.of(row, "request_time")[0])
+    sent = channels.of(rows, "request")[:, 1] % 1e-3 * 1e6
+    first = np.flatnonzero(np.diff(sent) != 0.0) + 1
+    found = 1e3 * ((rows[first, 0] + start - sent[first]) % 1000.0)
+    return {"median": float(np.median(found)), "p99": float(np.percentile(found, 99)), "count": len(found)}
+
+
 def lsl(_: int) -> None:
     """Run an LSL client that receives every row."""
     inlet = pylsl.StreamInlet(pylsl.resolve_byprop("name", "ctr-station", 1, 60.0)[0])
@@ -141,6 +196,7 @@ BESIDE: dict[str, Callable[[Served, dict[str, int]], Any]] = {
     "nothing": nothing,
     "page": page,
     "gateway": gateway,
+    "crtk": crtk,
     "cameras": cameras,
 }
 #: Tables of the station file for a setup.
@@ -149,30 +205,38 @@ TABLES = {"cameras": CAMERAS}
 
 def measured(name: str, seconds: float, settings: str) -> dict[str, Any]:
     """Return the control loop's timing while the clients of setup `name` are connected."""
-    ports = {name: free_port() for name in ("igtl", "foxglove", "ros2")} if name == "gateway" else {}
+    protocols = {"gateway": ("igtl", "foxglove", "ros2"), "crtk": ("ros2",)}.get(name, ())
+    ports = {protocol: free_port() for protocol in protocols}
     options = [word for protocol, port in ports.items() for word in (f"--{protocol}", str(port))]
     with ExitStack() as owned:
         probe = owned.enter_context(TimerProbe(max(os.sched_getaffinity(0))))
         station = owned.enter_context(
-            serving(*options, *(["--lsl"] if ports else []), settings=settings + TABLES.get(name, ""), rate=None)
+            serving(
+                *options, *(["--lsl"] if name == "gateway" else []), settings=settings + TABLES.get(name, ""), rate=None
+            )
         )
         station.ready()
-        ring = owned.enter_context(TelemetryOf(station.url, station.process.pid).ring(load_robot("paper")))
+        ring = owned.enter_context(TelemetryOf(station.url, station.process.pid, 0.0, 0.0).ring(load_robot("paper")))
         owned.enter_context(BESIDE[name](station, ports))
         time.sleep(BEGUN)
-        started = station.post("/api/start", {**MOTION, "duration": seconds + 60.0})
+        motion = ("/api/gateway/target", TARGETS) if name == "crtk" else ("/api/start", MOTION)
+        started = station.post(motion[0], {**motion[1], "duration": seconds + 60.0})
         assert started.status_code == 202, started.text
         time.sleep(MOVING)
         ring.clear_timing()
         probe.clear()
         before, used = stolen_seconds(), used_seconds(station)
-        time.sleep(seconds)
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0.0:
+            station.status()  # keeps the lease
+            time.sleep(min(left, 2.0))
         later = used_seconds(station)
         status = station.status()
         result = {
             **figures(ring, seconds, stolen_seconds() - before),
             "computer": probe.figures(),
             "processors": {name: round((later[name] - used[name]) / seconds, 3) for name in used if name in later},
+            **({"servo_cp_ms": delays_ms(ring)} if name == "crtk" and status["state"] == "RUNNING" else {}),
             "state": f"{status['state']} {status['cause']}".strip(),  # the cause, if the run ended in HOLD
         }
         station.post("/api/stop")

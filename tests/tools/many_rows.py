@@ -19,10 +19,10 @@ import numpy as np
 from core.errors import NoSolution
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
-from station.benchmarks.accuracy import MAX_COLD_ERROR_M, cases
-from station.benchmarks.bench import random_rows
-from station.benchmarks.solver import Pose, continued_from_rest
 from station.solve_many import solve_many
+from tests.measure.accuracy import MAX_COLD_ERROR_M, cases
+from tests.measure.batch import random_rows
+from tests.measure.solver import Pose, continued_from_rest
 
 #: Number of poses that are solved at once, which limits the memory.
 BATCH = 100_000

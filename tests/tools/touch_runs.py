@@ -1,4 +1,4 @@
-"""Measure how well the tip holds a force, over seeds of the lab, beside the best possible on moving walls.
+"""Measure how well the tip holds a force, for seeds of the lab, compared with the best possible on moving walls.
 
 `python -m tests.tools.touch_runs LAB [CASE ...] [--seeds 10] [--calibrated]`
 

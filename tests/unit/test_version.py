@@ -14,7 +14,3 @@ def test_the_citation_is_of_this_version():
 def test_the_changes_begin_with_this_version():
     headings = [line for line in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines() if "## " in line]
     assert headings[0] == f"## {VERSION}"
-
-
-def test_a_run_of_this_version_is_kept():
-    assert (ROOT / "tests" / "kept" / VERSION / "run" / "summary.json").is_file()

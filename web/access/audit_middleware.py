@@ -1,8 +1,8 @@
 """Logs every changing request and every refused request with its outcome.
 
 This middleware wraps the whole application, so it also logs the requests that the access checks (`gate.py`) refuse.
-Refusals and STOP, which any client may send without limit, are logged in full only a few times a minute; further ones
-are logged as counts.
+Any client can cause refusals and STOPs without limit. Only a limited number of them is logged in full each minute;
+further ones are logged as counts.
 """
 
 import json
@@ -14,6 +14,7 @@ from datetime import datetime
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from station.control.commands import Jog, Stop
 from station.service.audit import Audit
 from web.access.gate import CHANGING_METHODS
 
@@ -80,7 +81,7 @@ class Repeats:
 
     def __init__(self, audit: Audit, clock: Callable[[], float] = time.monotonic) -> None:
         self._audit, self._clock = audit, clock
-        self._senders: dict[tuple[str, str, str], _Minute] = {}  # by role, address and command
+        self._senders: dict[tuple[str, str, str], _Minute] = {}  # commands by sender: role, address and command
 
     def add(self, who: str, role: str, what: str, where: str, outcome: str) -> None:
         """Log or count one accepted command."""
@@ -111,15 +112,15 @@ class Repeats:
                 self._audit.write(who, what, where, outcome)
 
 
-#: Path of the jog command. The page repeats this command ten times a second while a jog button is pressed, so equal
-#: commands that one sender repeats within `REPEAT_INTERVAL_S` [s] have one line in the log.
-REPEATED_PATH = "/api/jog"
+#: Path of the jog command. The page repeats it ten times a second while a jog button is pressed. Equal commands that
+#: one sender repeats within `REPEAT_INTERVAL_S` [s] therefore have one line in the log.
+REPEATED_PATH = Jog.path()
 REPEAT_INTERVAL_S = 1.0
 #: Path of STOP. Every client may send STOP at any rate, so the log omits its body and counts its repeats.
-STOP = "/api/stop"
+STOP = Stop.path()
 #: Paths of POST requests that only query the station; these requests are logged only if access to them is refused.
 QUERY_PATHS = ("/api/model/solve", "/api/waypoints/check", "/api/calibration/exchange")
-#: Largest number of bytes of a request's body that are logged; also of the body of a refusal.
+#: Largest number of bytes that are logged of a request's body, and of the body of a refusal.
 MAX_BODY_BYTES = 400
 #: Status codes of refused access; queries with these codes are logged although a query changes nothing.
 REFUSAL_STATUSES = (401, 403)

@@ -1,12 +1,12 @@
 """Limits on open connections, for each address and in total; the newest connection is always accepted.
 
 A process has a limited number of file descriptors. If one client used all of them, no other client could connect and
-send STOP. A connection beyond the limit therefore closes an older one. The connection that was idle
+send STOP. A new connection beyond the limit therefore closes an older one. The connection that was idle
 longest is closed first, then connections with a request in progress, and last WebSockets. WebSockets, which stay open,
 may use half of the connections.
 
-viser accepts every client on its loopback port, although only the proxy needs access. Other programs and every page in
-a browser of this computer can connect to it, so it refuses pages, and its number of connections is limited, too.
+viser, the server of the 3D scene, accepts every client on its loopback port, although only the station's proxy needs
+access. This module makes viser refuse the pages of a browser, and limits the number of viser's connections.
 """
 
 import asyncio
@@ -175,7 +175,7 @@ class Connections:
     async def _socket(self, connection: _Connection, scope: Scope, receive: Receive, send: Send) -> None:
         sockets = [known.address[0] for known in self._open.values() if known.socket and not known.closed]
         if len(sockets) >= self._total // 2 or sockets.count(connection.address[0]) >= self._each // 2:
-            await send({"type": "websocket.close", "code": TRY_AGAIN_LATER, "reason": "too many websockets are open"})
+            await send({"type": "websocket.close", "code": TRY_AGAIN_LATER, "reason": "too many WebSockets are open"})
             return
         connection.socket = True
         await self._app(scope, receive, send)
@@ -214,7 +214,7 @@ async def _disconnected() -> Message:
 
 
 class _ConnectionLimit:
-    """Wrapper of the server's protocol object for one connection; it admits the connection first."""
+    """Wrapper of the server's protocol object for one connection; it first passes the connection to `admit`."""
 
     def __init__(self, inside: Any, admit: Callable[[asyncio.Transport], None]) -> None:
         self._inside, self._admit = inside, admit
@@ -255,7 +255,7 @@ class _Guarded(ServerConnection):
         self._open, self._most = open_, most
 
     def connection_made(self, transport: Any) -> None:
-        """Add this connection; at the limit, close first the oldest without a request, or else the oldest of all."""
+        """Add this connection; at the limit, first close the oldest one without a request, or else the oldest one."""
         super().connection_made(transport)
         if len(self._open) >= self._most:
             victim = min(self._open, key=lambda known: known.request is not None)

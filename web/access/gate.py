@@ -14,6 +14,7 @@ from urllib.parse import parse_qs, quote
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from station.control.commands import Stop
 from web.access.identity import Role, Tokens, sender
 
 #: Largest request body [bytes].
@@ -21,7 +22,7 @@ MAX_BODY_BYTES = 64 * 1024
 COOKIE = "ctr_station"
 CHANGING_METHODS = ("POST", "PUT", "PATCH", "DELETE")
 #: Paths to which viewers may send POST requests: STOP, and queries whose parameters are in a body.
-VIEWER_PATHS = ("/api/stop", "/api/model/solve", "/api/calibration/exchange")
+VIEWER_PATHS = (Stop.path(), "/api/model/solve", "/api/calibration/exchange")
 #: Reason that is sent to a client without a token.
 ACCESS_HINT = "a token is required: open the address with ?token=... that the station prints, or send a bearer token"
 FRAME_DESTINATIONS = ("iframe", "frame", "embed", "object")
@@ -45,7 +46,13 @@ class Access:
     """Refuses connections that come neither from the station's page nor from an authorised script."""
 
     def __init__(
-        self, app: ASGIApp, host: str, port: int, tokens: Tokens | None, pages: frozenset[str] = frozenset()
+        self,
+        app: ASGIApp,
+        host: str,
+        port: int,
+        tokens: Tokens | None,
+        pages: frozenset[str] = frozenset(),
+        hint: str = "",
     ) -> None:
         """Wrap `app`, and store the station's address and tokens.
 
@@ -54,14 +61,15 @@ class Access:
             host, port: address of the station.
             tokens: access tokens, one of which every client needs; None: any client may connect and become operator.
             pages: origins of other web sites whose pages may connect.
+            hint: appended to the reason if another origin is refused.
         """
         self._app = app
-        self._tokens, self._pages = tokens, pages
+        self._tokens, self._pages, self._hint = tokens, pages, hint
         self._port = port
-        # Cookies are shared by all ports: two stations on one computer need different names.
+        # A browser shares cookies between all ports of a host, so two stations on one computer need different names.
         self._cookie = f"{COOKIE}_{port}"
         self._any_address = host in ("0.0.0.0", "::")  # noqa: S104 - compared, not bound
-        names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) or self._any_address else {_bracketed(host)}
+        names = {"127.0.0.1", "localhost", "[::1]"} if is_loopback(host) or self._any_address else {bracketed(host)}
         if self._any_address:
             names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
         self._hosts = {f"{name}:{port}" for name in names}
@@ -109,7 +117,7 @@ class Access:
             return None
         # Scripts send no Origin header; a browser sends one with every request that another site could abuse.
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
-            return 403, f"requests from pages of '{origin}' are refused"
+            return 403, f"requests from pages of '{origin}' are refused{self._hint}"
         foreign = headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
         follows_link = headers.get("sec-fetch-mode") == "navigate" and scope.get("method") == "GET"
         if foreign and not (follows_link and headers.get("sec-fetch-dest") not in FRAME_DESTINATIONS):
@@ -119,7 +127,7 @@ class Access:
         return None
 
     def _is_address(self, host: str) -> bool:
-        """Return whether a host is an IP address with the station's port; DNS rebinding needs a name."""
+        """Return whether a host is an IP address with the station's port; an attack by DNS rebinding needs a name."""
         name, _, port = host.rpartition(":")
         try:
             ipaddress.ip_address(name.strip("[]"))
@@ -185,7 +193,8 @@ def _token_in(scope: Scope) -> str:
     return parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
 
 
-def _bracketed(host: str) -> str:
+def bracketed(host: str) -> str:
+    """Return a host as it is written in a URL: an IPv6 address in brackets, a name in lower case."""
     return f"[{host}]" if ":" in host else host.lower()
 
 

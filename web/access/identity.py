@@ -25,7 +25,7 @@ class Tokens(NamedTuple):
     viewer: str
 
     def role(self, given: str) -> Role | None:
-        """Return the role of a token, None if the token is invalid; the time does not depend on the token."""
+        """Return the role of a token, None if it is invalid; the time of the comparison reveals nothing of a token."""
         is_operator = hmac.compare_digest(given.encode(), self.operator.encode())
         is_viewer = hmac.compare_digest(given.encode(), self.viewer.encode())
         if is_operator:

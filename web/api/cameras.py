@@ -18,7 +18,7 @@ from station.camera.messages import CameraPicture
 from station.config.strict import Name, Strict
 from station.service.camera_calibration import BoardState, CameraCalibration
 from station.service.camera_overlay import CameraOverlay, overlay
-from station.service.station_service import StationService
+from station.service.supervisor import Supervisor
 from web.api.commands import Commands
 from web.api.schemas import ErrorOut
 
@@ -53,7 +53,7 @@ class CameraOut(Strict):
     simulated: bool
     """whether the virtual lab renders the pictures"""
     problem: str
-    """what is wrong and what to do; empty: nothing"""
+    """what is wrong and what to do; empty if nothing is wrong"""
     rate: float
     """frames that arrive in a second [1/s]"""
     age: float | None
@@ -75,7 +75,7 @@ def camera_out(host: CameraHost) -> CameraOut:
 
 
 class BoardIn(Strict):
-    """Which cameras to calibrate, with which board."""
+    """Cameras to calibrate, and the size of the board's squares."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"cameras": ["left", "right"], "square": 0.035}]})
 
@@ -91,10 +91,9 @@ class BoardOut(Strict):
     board: BoardState | None
 
 
-def camera_routes(service: StationService, calibration: CameraCalibration, of: Commands) -> APIRouter:
+def camera_routes(supervisor: Supervisor, calibration: CameraCalibration, of: Commands) -> APIRouter:
     """Return the REST routes under /api/cameras."""
     router = APIRouter(prefix="/api/cameras", tags=["cameras"], dependencies=[Depends(of.renew_lease)])
-    supervisor = service.supervisor
     cameras = supervisor.cameras
     streams = 0
 
@@ -107,10 +106,12 @@ def camera_routes(service: StationService, calibration: CameraCalibration, of: C
 
     @router.get("", summary="Every camera with its state")
     def listed() -> tuple[CameraOut, ...]:
+        """List the cameras; `problem` states what is wrong with a camera and what to do."""
         return tuple(camera_out(host) for host in cameras)
 
     @router.get("/board.svg", response_class=Response, summary="The calibration board, to print at 100 %")
     def board(square: Annotated[float, Query(ge=MIN_SQUARE_M, le=MAX_SQUARE_M)] = 0.035) -> Response:
+        """Return the board to scale; measure a printed square, because many printers change the size."""
         from station.camera.board import board_svg  # imports OpenCV
 
         headers = {"content-disposition": 'inline; filename="board.svg"'}
@@ -118,20 +119,24 @@ def camera_routes(service: StationService, calibration: CameraCalibration, of: C
 
     @router.get("/calibration", summary="State of the calibration of cameras")
     def board_state() -> BoardOut:
+        """Return the state of the calibration: the number of pictures taken, and what to do next."""
         return BoardOut(board=calibration.state)
 
     @router.post("/calibration", status_code=202, summary="Start to take pictures of the board", **of.command)
     async def start_board(request: BoardIn) -> BoardOut:
+        """Start to take pictures: each camera takes one whenever the board has moved to a new pose."""
         await asyncio.to_thread(calibration.start, request.cameras, request.square)
         return BoardOut(board=calibration.state)
 
-    @router.post("/calibration/finish", status_code=202, summary="Compute the result", **of.command)
+    @router.post("/calibration/finish", status_code=202, summary="Compute the calibration", **of.command)
     async def finish_board() -> BoardOut:
+        """Compute the result in the background; the state of the calibration shows when it is ready."""
         await asyncio.to_thread(calibration.finish)
         return BoardOut(board=calibration.state)
 
     @router.post("/calibration/cancel", summary="End the calibration without a result", **of.command)
     async def cancel_board() -> BoardOut:
+        """End the calibration and discard all pictures of the board."""
         await asyncio.to_thread(calibration.cancel)
         return BoardOut(board=calibration.state)
 
@@ -142,6 +147,7 @@ def camera_routes(service: StationService, calibration: CameraCalibration, of: C
         summary="Live pictures as Motion JPEG",
     )
     async def stream(name: str, request: Request) -> StreamingResponse:
+        """Stream pictures until the client disconnects; a slow client skips pictures."""
         host = found(name)
         if streams >= MAX_STREAMS:
             raise HTTPException(503, f"{MAX_STREAMS} streams of pictures are open, which is the limit; close a page")
@@ -178,6 +184,7 @@ def camera_routes(service: StationService, calibration: CameraCalibration, of: C
         summary="One picture",
     )
     async def snapshot(name: str) -> Response:
+        """Return the newest picture of the camera as JPEG."""
         host, loop = found(name), asyncio.get_running_loop()
         last, end = host.picture, loop.time() + SNAPSHOT_TIMEOUT_S
         while (picture := host.picture) is None or picture is last:
@@ -191,6 +198,7 @@ def camera_routes(service: StationService, calibration: CameraCalibration, of: C
 
     @router.get("/{name}/overlay", responses=NO_CAMERA, summary="The model in the pixels of the newest picture")
     def get_overlay(name: str) -> CameraOverlay:
+        """Return the centre line of each tube and the tips in pixels; `reason` states why there is no overlay."""
         host = found(name)
         return overlay(
             supervisor, host.camera, supervisor.bench.clock.now() if host.picture is None else host.picture.time

@@ -1,8 +1,9 @@
 """Dependencies of routes that send commands: the sender must be operator, or becomes operator if there is none."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import asynccontextmanager
+from functools import partial
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
@@ -42,8 +43,8 @@ def commands(lease: Lease) -> Commands:
         lease.renew(sender_of(connection).client)
 
     async def require_operator(request: Request) -> AsyncIterator[Sender]:
-        who = sender_of(request)
-        with commanding(lease, who):
+        who, state = sender_of(request), request.scope["state"]
+        async with commanding(lease, who, permit_of(request)) as state["permit"]:
             yield who
 
     return Commands(lease, renew_lease, require_operator)
@@ -66,21 +67,38 @@ def permit_of(connection: HTTPConnection) -> Permit:
     return connection.scope["state"]["permit"]
 
 
-#: Parameter type of routes that move the robot, and of the reset.
+#: Type of the parameter by which the routes that move the robot, and the route of the reset, receive their permit.
 Permitted = Annotated[Permit, Depends(permit_of)]
 
 
-@contextmanager
-def commanding(lease: Lease, who: Sender) -> Iterator[None]:
-    """Provide a context in which a command of `who` runs while `who` holds the operator's lease.
+#: Interval at which a pending command renews the lease of its sender [s].
+RENEWAL_INTERVAL_S = 0.5
+
+
+@asynccontextmanager
+async def commanding(lease: Lease, who: Sender, permit: Permit) -> AsyncIterator[Permit]:
+    """Provide the permit of a command of `who`; the permit is void as soon as `who` is not operator any longer.
+
+    While the command is pending and its client is connected, the lease is renewed.
 
     Raises:
         LeaseHeldError: another client holds the lease.
     """
     was_free = lease.holder() is None
     taken = lease.keep(who.client, who.name)
+
+    async def renew() -> None:
+        nonlocal taken
+        while not (permit.gone and permit.gone()):
+            await asyncio.sleep(RENEWAL_INTERVAL_S)
+            newest = lease.holder() == taken
+            lease.renew(who.client)
+            if newest and (renewed := lease.holder()):
+                taken = renewed
+
+    renewal = asyncio.create_task(renew())
     try:
-        yield
+        yield permit.on(partial(lease.ended, taken))
     except RefusedError:
         raise  # the station's state forbids the command; the sender stays operator, because the command was valid
     except (RequestValidationError, CtrError):
@@ -88,6 +106,8 @@ def commanding(lease: Lease, who: Sender) -> Iterator[None]:
         if was_free and lease.holder() == taken:
             lease.release(who.client)
         raise
+    finally:
+        renewal.cancel()
 
 
 def operator_out(lease: Lease, who: Sender) -> OperatorOut:
@@ -101,7 +121,7 @@ def operator_out(lease: Lease, who: Sender) -> OperatorOut:
 
 
 def stopper(lease: Lease, who: Sender) -> str:
-    """Return name and address of the sender of a STOP or a reset, for all clients."""
+    """Return name and address of the sender of a STOP or a reset, as text for all clients."""
     holder = lease.holder()
     name = holder.name if holder is not None and holder.client == who.client else who.name
     text = f"'{name}'" if who.where in name else f"'{name}' ({who.where})"
@@ -115,6 +135,7 @@ def operator_routes(of: Commands) -> APIRouter:
 
     @router.get("", summary="Who is operator")
     async def get(request: Request) -> OperatorOut:
+        """Return the operator, the only client that may send commands; every client may send STOP."""
         return operator_out(lease, sender_of(request))
 
     @router.post(
@@ -123,6 +144,7 @@ def operator_routes(of: Commands) -> APIRouter:
         summary=f"Become or stay operator; the lease expires {LEASE_S:g} s after the last request",
     )
     async def post(request: Request, body: OperatorIn) -> OperatorOut:
+        """Become operator or renew the lease, as any request of the operator does; `take_over` replaces another one."""
         who = sender_of(request)
         name = clean_name(body.name or "") or who.name
         lease.take(who.client, name, over=body.take_over)
@@ -130,6 +152,7 @@ def operator_routes(of: Commands) -> APIRouter:
 
     @router.delete("", summary="Release the operator's lease")
     async def delete(request: Request) -> OperatorOut:
+        """Release the lease; the next client that sends a command becomes operator."""
         who = sender_of(request)
         lease.release(who.client)
         return operator_out(lease, who)
@@ -141,17 +164,14 @@ def operator_routes(of: Commands) -> APIRouter:
 LEASE_POLL_INTERVAL_S = 0.25
 
 
-async def watch_operator(lease: Lease, present: Callable[[], T], lost: Callable[[T], None]) -> None:
-    """Call `lost(present())` each time the operator is lost; run until cancelled.
-
-    `lost` runs in a thread, when there may be another operator. `present` returns at once what the loss concerns.
-    """
+async def watch_operator(lease: Lease, lost: Callable[[], None]) -> None:
+    """Call `lost` in a thread each time the lease has ended without a new operator; run until cancelled."""
     had_operator = False
     while True:
         await asyncio.sleep(LEASE_POLL_INTERVAL_S)
         has_operator = lease.holder() is not None
         if had_operator and not has_operator:
-            await asyncio.to_thread(lost, present())
+            await asyncio.to_thread(lost)
         had_operator = has_operator
 
 

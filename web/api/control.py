@@ -6,39 +6,42 @@ from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from functools import partial
+from inspect import Parameter, Signature, cleandoc
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Body, Depends, HTTPException, Query, Request, Response, WebSocket, WebSocketDisconnect
 
+from core.control.fields import one
 from core.robot.robot import Array
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.robots import start_pose
 from station.config.strict import preset_names
+from station.control.commands import Command, Reset, Stop
 from station.control.ring import Ring
-from station.control.states import State
+from station.control.states import RefusedError, State
 from station.control.task import Phase
-from station.control.telemetry import stale_groups
+from station.control.telemetry import FIELDS, stale_groups
 from station.experiments.experiment import offered_experiment
+from station.service.commands import COMMANDS, EXAMPLE_CONTROLLER, EXAMPLE_MOTION
 from station.service.contact import SideLoad
+from station.service.permits import Permit
 from station.service.runs import RunRequest
 from station.service.solve import model_answer
-from station.service.station_service import StationService
+from station.service.supervisor import Outcome, Supervisor
 from web.access.identity import sender_of
 from web.api.commands import Commands, Permitted, stopper
 from web.api.experiments import experiments_out, picture
+from web.api.files import FileThreads
 from web.api.schemas import (
     REFUSED_RESPONSES,
     DoneOut,
     ErrorOut,
     ExperimentOut,
-    MarkIn,
     SolveIn,
     SolveOut,
-    StartIn,
     StartOut,
     StatusOut,
-    StiffnessIn,
     StopOut,
     TipMotionIn,
 )
@@ -76,132 +79,118 @@ def _p99(increase: np.ndarray) -> float | None:
     return float(np.searchsorted(np.cumsum(increase), 0.99 * total) + 1)
 
 
-#: Names of the groups of telemetry channels that are streamed to WebSocket clients.
-STREAMED_GROUPS = (
-    "time", "state", "phase", "estimates_frozen", "trouble", "truth_known", "joints", "tip_measured",
-    "tip_estimated", "tip_desired", "tip_true", "force", "force_filtered", "force_variance", "u_int", "deflection",
-    "deflection_filtered", "deflection_rate", "direction_measured", "direction_observed", "direction_desired",
-    "direction_true", "target_followed", "target_measured", "target_offset", "target_true",
-    "contact_start", "stiffness",
-)  # fmt: skip
+#: Names of the fields of telemetry that are streamed to WebSocket clients.
+STREAMED_GROUPS = tuple(field.name for field in FIELDS if field.streamed)
 #: Largest rate of telemetry samples to all WebSocket clients together [1/s]. A higher rate would use a whole processor.
 MAX_SAMPLES_PER_S = 400.0
-#: Names of the channel groups that consist of a single number.
-SCALAR_GROUPS = ("time", "state", "phase", "estimates_frozen", "truth_known", "target_followed", "contact_start")
+#: Decimals of the sent values [SI units]: 1 nm, far below any noise. All digits would take half as many bytes more.
+SENT_DECIMALS = 9
+#: Names of the streamed fields that consist of a single number.
+SCALAR_GROUPS = tuple(field.name for field in FIELDS if field.streamed and field.parts is one)
 
 
 def control_routes(
-    service: StationService,
+    supervisor: Supervisor,
     of: Commands,
     stopping: ThreadPoolExecutor,
+    files: FileThreads,
     side_load: Callable[[], SideLoad | None],
     gateway_problem: Callable[[], str] | None = None,
 ) -> APIRouter:
     """Return the REST routes under /api that control one station.
 
     Args:
-        service: operations of the station.
+        supervisor: the station.
         of: dependencies that check the operator's lease.
         stopping: thread pool reserved for STOP.
+        files: threads that read the files of experiments.
         side_load: returns the load that acts on the shaft instead of the tip, or None.
         gateway_problem: returns why the gateway has ended (empty: it runs); None: the station has no gateway.
     """
-    router = APIRouter(prefix="/api", responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
-    supervisor = service.supervisor
+    router = APIRouter(responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
     stop_client = stop_cause = ""  # who sent the newest STOP, and the cause that the station reports for it
 
-    @router.get("/status", summary="Status of the station")
+    @router.get("/api/status", summary="Status of the station")
     def status(request: Request) -> StatusOut:
+        """Return in one answer state, cause, operator, run, devices, timing, joints, tips and force."""
         problem = None if gateway_problem is None else gateway_problem()
         who = sender_of(request)
         own = stop_cause if who.client == stop_client else ""
-        return status_out(service, of, who, side_load(), problem, own)
-
-    @router.post("/start", status_code=202, summary="Start an experiment or a motion", **of.command)
-    async def start(request: StartIn, permit: Permitted) -> StartOut:
-        if request.experiment is not None:
-            start = partial(service.start_experiment, request.experiment, request.case, permit=permit)
-        else:
-            start = partial(
-                service.start_motion, request.trajectory, request.controller, request.load, request.duration,
-                permit=permit,
-            )  # fmt: skip
-        return run_out(await asyncio.to_thread(start))
+        return status_out(supervisor, of, who, side_load(), problem, own)
 
     @router.post(
-        "/stop",
-        responses={202: {"model": StopOut, "description": "accepted, but not as usual; see `confirmed` and `note`"}},
-        summary="Stop every axis; always accepted, from any client with access",
+        Stop.path(),
+        responses={202: {"model": StopOut, "description": "accepted with a note; see `confirmed` and `note`"}},
+        **described(Stop),
     )
     async def stop(request: Request, response: Response) -> StopOut:
         nonlocal stop_client, stop_cause
         who = sender_of(request)
         stop_client, stop_cause = who.client, f"stopped by {stopper(of.lease, who)}"
-        outcome = await asyncio.get_running_loop().run_in_executor(stopping, supervisor.stop, stop_cause)
-        if outcome.text:
+        send = partial(supervisor.send, Stop(cause=stop_cause))
+        outcome = await asyncio.get_running_loop().run_in_executor(stopping, send)
+        if outcome.note:
             response.status_code = 202
-        return StopOut(state=supervisor.status().state.name, note=outcome.text, confirmed=outcome.confirmed)
+        return StopOut(state=supervisor.status().state.name, note=outcome.note, confirmed=outcome.confirmed)
 
-    @router.post("/reset", summary="Reset after STOPPED, HOLD or FAULT", **of.command)
+    @router.post(Reset.path(), **described(Reset), **of.command)
     async def reset(request: Request, permit: Permitted) -> DoneOut:
-        note = await asyncio.to_thread(supervisor.reset, stopper(of.lease, sender_of(request)), permit)
-        return DoneOut(state=supervisor.status().state.name, note=note)
+        command = Reset(who=stopper(of.lease, sender_of(request)))
+        return done(supervisor, await asyncio.to_thread(supervisor.send, command, permit))
 
-    @router.post("/mark", summary="Mark the present moment of the run in its recording", **of.command)
-    def mark(request: MarkIn) -> DoneOut:
-        supervisor.mark(request.text)
-        return DoneOut(state=supervisor.status().state.name)
+    for command in COMMANDS:
+        if command not in (Stop, Reset):  # their fields come from the server, not from the request
+            add_command(router, supervisor, of, command)
 
-    @router.put("/stiffness", summary="Change the tip's stiffness in a motion that has one", **of.command)
-    async def put_stiffness(request: StiffnessIn, permit: Permitted) -> DoneOut:
-        await asyncio.to_thread(supervisor.set_stiffness, request.stiffness, permit)
-        return DoneOut(state=supervisor.status().state.name)
-
-    @router.get("/trajectory", summary="The next free motion")
+    @router.get("/api/trajectory", summary="The next free motion")
     def get_trajectory() -> TipMotionIn:
-        return service.settings.trajectory
+        """Return the motion that a start without `trajectory` uses."""
+        return supervisor.settings.trajectory
 
-    @router.put("/trajectory", summary="Choose the next free motion", **of.command)
-    def put_trajectory(trajectory: TipMotionIn) -> TipMotionIn:
-        service.set_trajectory(trajectory)
-        return service.settings.trajectory
+    @router.put("/api/trajectory", summary="Choose the next free motion", **of.command)
+    def put_trajectory(trajectory: Annotated[TipMotionIn, Body(examples=[EXAMPLE_MOTION])]) -> TipMotionIn:
+        """Set the motion of later starts; the present run does not change."""
+        supervisor.change_settings(trajectory=trajectory)
+        return supervisor.settings.trajectory
 
-    @router.get("/controller", summary="The controller of the next free motion")
+    @router.get("/api/controller", summary="The controller of the next free motion")
     def get_controller() -> ControllerFile:
-        return service.settings.controller
+        """Return the controller settings that a start without `controller` uses."""
+        return supervisor.settings.controller
 
-    @router.put("/controller", summary="Choose the controller", **of.command)
-    def put_controller(controller: ControllerFile) -> ControllerFile:
-        service.set_controller(controller)
-        return service.settings.controller
+    @router.put("/api/controller", summary="Choose the controller", **of.command)
+    def put_controller(controller: Annotated[ControllerFile, Body(examples=[EXAMPLE_CONTROLLER])]) -> ControllerFile:
+        """Check and set the controller of later starts; the present run does not change."""
+        supervisor.change_settings(controller=controller)
+        return supervisor.settings.controller
 
-    @router.get("/experiments", summary="Experiments; an invalid file is listed with its error")
-    def experiments(*, check: bool = True) -> list[ExperimentOut]:
-        """With `check=false` the answer does not wait for the check of the motions on the model."""
-        return experiments_out(supervisor.bench, check_motions=check)
+    @router.get("/api/experiments", summary="Experiments; an invalid file is listed with its error")
+    async def experiments(*, check: bool = True) -> list[ExperimentOut]:
+        """List the experiments; with `check=false` without waiting for the check of their motions on the model."""
+        return await files.run(experiments_out, supervisor.bench, check_motions=check)
 
     @router.get(
-        "/experiments/{name}/picture.svg",
+        "/api/experiments/{name}/picture.svg",
         responses={404: {"model": ErrorOut}},
         summary="Picture of a case's path and load; without `case` the first",
     )
-    def experiment_picture(name: str, case: str | None = None) -> Response:
-        if name not in preset_names("experiments"):
-            return Response(status_code=404)
-        drawn = next(
-            (one for one in offered_experiment(name, check_motions=False).cases if case in (None, one.name)), None
-        )
-        return Response(status_code=404) if drawn is None else Response(picture(drawn), media_type="image/svg+xml")
+    async def experiment_picture(name: str, case: str | None = None) -> Response:
+        """Return the picture as SVG."""
+        drawn = await files.run(_picture, name, case, supervisor.bench.robot_name)
+        if drawn is None:
+            raise HTTPException(404, f"there is no experiment '{name}' with case '{case}'; see GET /api/experiments")
+        return Response(drawn, media_type="image/svg+xml")
 
-    @router.post("/model/solve", responses=REFUSED_RESPONSES, summary="Solve the loaded model")
+    @router.post("/api/model/solve", responses=REFUSED_RESPONSES, summary="Solve the loaded model")
     def solve(request: SolveIn) -> SolveOut:
+        """Return the answer of `ctr-station solve`: the shape for joint positions and a load on the tip."""
         joints = start_pose(request.joints, supervisor.bench.robot)
         answer = model_answer(supervisor.statics, joints, np.array([*request.force, *request.moment]))
         return SolveOut.model_validate(answer, strict=False)
 
     listeners = 0
 
-    @router.websocket("/telemetry")
+    @router.websocket("/api/telemetry")
     async def telemetry(socket: WebSocket, rate: Annotated[float, Query(ge=1.0, le=100.0)] = 30.0) -> None:
         nonlocal listeners
         async with listening_to(socket) as listening:
@@ -213,9 +202,9 @@ def control_routes(
                     await asyncio.wait([listening], timeout=max(1.0 / rate, listeners / MAX_SAMPLES_PER_S))
                     rows, since, overwritten = supervisor.ring.read(since)
                     if len(rows):
-                        sample = sample_out(service, rows[-1], len(rows) - 1 + overwritten, before)
+                        sample = sample_out(supervisor, rows[-1], len(rows) - 1 + overwritten, before)
                         before = sample["time"]
-                        listeners -= 1  # while this client delays sending, it does not slow other clients
+                        listeners -= 1  # a client that reads slowly must not reduce the rate of the others
                         try:
                             await socket.send_json(sample | timing.read() | {"target_visible": target.update(rows)})
                         finally:
@@ -226,22 +215,69 @@ def control_routes(
     return router
 
 
+def _picture(name: str, case: str | None, robot: str) -> str | None:
+    """Return the picture of the named case, or of the first case if `case` is None; None if there is no such case."""
+    if name not in preset_names("experiments"):
+        return None
+    cases = offered_experiment(name, robot, check_motions=False).cases
+    drawn = next((one for one in cases if case in (None, one.name)), None)
+    return None if drawn is None else picture(drawn)
+
+
+def described(command: type[Command]) -> dict[str, Any]:
+    """Return summary, description and tag of a command's route."""
+    text = cleandoc(command.__doc__ or "")
+    return {"summary": text.split("\n")[0].rstrip("."), "description": text, "tags": ["commands"]}
+
+
+def add_command(router: APIRouter, supervisor: Supervisor, of: Commands, command: type[Command]) -> None:
+    """Add the route of a command, whose fields are the body of the request."""
+
+    async def send(permit: Permit, request: Command | None = None) -> StartOut | DoneOut:
+        outcome = await asyncio.to_thread(supervisor.send, request or command(), permit)
+        return run_out(outcome.started) if command.starts_run else done(supervisor, outcome)
+
+    async def in_a_virtual_lab() -> None:
+        if supervisor.bench.devices is not None:
+            raise RefusedError("this rig has real devices; only a virtual lab accepts simulated loads and faults")
+
+    # FastAPI reads the schema of the body from the signature.
+    parameters = [Parameter("permit", Parameter.KEYWORD_ONLY, annotation=Permitted)]
+    if command.model_fields:
+        default, kind = (None, command | None) if command.may_be_empty else (Parameter.empty, command)
+        parameters.append(Parameter("request", Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+    send.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    send.__name__ = command.name
+    router.add_api_route(
+        command.path(), send, methods=[command.method], response_model=StartOut if command.starts_run else DoneOut,
+        status_code=202 if command.starts_run else 200, responses=REFUSED_RESPONSES,
+        # The lab is checked first, because a command that a real rig refuses must not make its sender operator.
+        dependencies=[Depends(in_a_virtual_lab)] * command.needs_lab + [Depends(of.require_operator)],
+        **described(command),
+    )  # fmt: skip
+
+
+def done(supervisor: Supervisor, outcome: Outcome) -> DoneOut:
+    """Return the response for a command that was executed."""
+    return DoneOut(state=supervisor.status().state.name, note=outcome.note)
+
+
 def run_out(run: RunRequest) -> StartOut:
     """Return the response for a run that has started."""
     return StartOut(run_id=run.id, warnings=run.start.warnings)
 
 
-def sample_out(service: StationService, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
+def sample_out(supervisor: Supervisor, row: Array, skipped: int, before: float | None) -> dict[str, Any]:
     """Return one row of telemetry for a WebSocket client.
 
     Args:
-        service: operations of the station.
+        supervisor: the station.
         row: values of all telemetry channels.
         skipped: number of rows since the last sample that are not sent.
         before: time of the last sample [s]; None: this sample is the first.
     """
-    channels = service.supervisor.channels
-    stale = stale_groups(channels, row)
+    channels = supervisor.channels
+    stale, row = stale_groups(channels, row), np.round(row, SENT_DECIMALS)
     values: dict[str, Any] = {}
     for group in STREAMED_GROUPS:
         numbers = channels.of(row, group).tolist()

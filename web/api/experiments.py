@@ -26,8 +26,9 @@ from station.experiments.experiment import Case, is_shipped, offered_experiment
 from station.experiments.saved import FreeMotion, SavedAlreadyError, save, saved_motion
 from station.service.feasibility import FeasibilityResult, check_waypoints, deviations_from_case, incompatibility
 from station.service.station_file import Rig
-from station.service.station_service import StationService
+from station.service.supervisor import Supervisor
 from web.api.commands import Commands, cancel_on_disconnect
+from web.api.files import FileThreads
 from web.api.schemas import REFUSED_RESPONSES, CaseOut, DoneOut, ExperimentOut, FactOut, TipMotionIn
 from web.scene.content import path_offsets
 
@@ -117,7 +118,7 @@ def experiments_out(bench: Rig, *, check_motions: bool) -> list[ExperimentOut]:
 def _experiment_out(name: str, bench: Rig, check_motions: bool) -> ExperimentOut:
     group = "mine" if not is_shipped(name) else "paper" if name.startswith("fig") else "station"
     try:
-        experiment = offered_experiment(name, check_motions=check_motions)
+        experiment = offered_experiment(name, bench.robot_name, check_motions=check_motions)
     except CtrError as error:
         return ExperimentOut(name=name, title="", cases=(), error=str(error), group=group, checked=check_motions)
     cases = tuple(_case_out(case, experiment.title, bench) for case in experiment.cases)
@@ -190,10 +191,13 @@ class SaveIn(Strict):
     """true: overwrite an existing experiment of that name"""
 
 
-def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> APIRouter:
-    """Return the routes under /api. Experiments are saved in `data` unless the station's file names a folder."""
+def waypoint_routes(supervisor: Supervisor, data: FilePath, of: Commands, files: FileThreads) -> APIRouter:
+    """Return the routes of waypoints and experiments, which are saved in `data` unless the user has set a folder.
+
+    All accesses to these folders use `files`.
+    """
     router = APIRouter(prefix="/api", tags=["experiments"], dependencies=[Depends(of.renew_lease)])
-    bench = service.supervisor.bench
+    bench = supervisor.bench
     one_at_a_time = asyncio.Lock()  # one check at a time, because it uses a whole processor
 
     def pose(joints: Mapping[str, float] | None) -> dict[str, float]:
@@ -203,9 +207,9 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
             RefusedError: the present joints are unknown.
             CtrError: a joint is unknown, missing or not a number.
         """
-        names = service.supervisor.robot.joint_names
+        names = supervisor.robot.joint_names
         if joints is None:
-            values = service.supervisor.status().values
+            values = supervisor.status().values
             if "joints" not in values:
                 raise RefusedError("start is missing and the present joints are unknown; connect and home first")
             return dict(zip(names, values["joints"].tolist(), strict=True))
@@ -217,8 +221,9 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
         summary="Check on the model whether the tip can follow waypoints; nothing moves",
     )
     async def check(request: WaypointCheckIn, connection: Request) -> WaypointCheckOut:
+        """Check waypoints; the answer names the first point that the tip cannot reach, and the reason."""
         start = named_pose(pose(request.start), bench.robot, "start")
-        controller = bench.controlled(request.controller or service.settings.controller)
+        controller = bench.controlled(request.controller or supervisor.settings.controller)
         cancelled = Event()
 
         async def work() -> FeasibilityResult:
@@ -236,25 +241,27 @@ def waypoint_routes(service: StationService, data: FilePath, of: Commands) -> AP
 
     @router.put("/experiments/{name}", summary="Save a free motion as an experiment", **of.command)
     async def put(name: Name, request: SaveIn) -> DoneOut:
+        """Save the motion in the user's folder of experiments; the name of a preset of the station is refused."""
         motion = FreeMotion(
             title=request.title.strip() or name.replace("_", " "),
             start=pose(request.start),
             duration=request.duration,
             trajectory=request.trajectory,
-            controller=request.controller or service.settings.controller,
+            controller=request.controller or supervisor.settings.controller,
             load=request.load,
         )
         try:
-            path = await asyncio.to_thread(lambda: save(motion, name, data, _made_for(bench), replace=request.replace))
+            path = await files.run(lambda: save(motion, name, data, _made_for(bench), replace=request.replace))
         except SavedAlreadyError as error:
             raise RefusedError(str(error)) from None
-        return DoneOut(state=service.supervisor.status().state.name, note=f"saved as {path}")
+        return DoneOut(state=supervisor.status().state.name, note=f"saved as {path}")
 
     @router.get(
         "/experiments/{name}/motion", responses=REFUSED_RESPONSES, summary="An experiment's first case as a free motion"
     )
-    def get_motion(name: Name) -> FreeMotion:
-        return saved_motion(name)
+    async def get_motion(name: Name) -> FreeMotion:
+        """Return the motion, which the page shows in a form where the operator can change it."""
+        return await files.run(saved_motion, name)
 
     return router
 

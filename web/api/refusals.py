@@ -1,16 +1,15 @@
-"""Answers to refused requests: errors of the station, invalid values, invalid Unicode, and renamed paths.
+"""Answers to refused requests: errors of the station, invalid values, and invalid Unicode.
 
-Files, logs and responses cannot contain half of a surrogate pair, which JSON can contain, so a request body with one is
-refused. Python also represents a file name that is not UTF-8 by such halves, so every error text is made printable
-before it is sent.
+JSON can contain half of a surrogate pair; files, logs and responses cannot. A request body with such a half is refused.
+Python also represents a file name that is not UTF-8 by such halves, so every error text is made printable before it is
+sent.
 """
 
 import json
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
-from fastapi import APIRouter, FastAPI, Request, WebSocket
+from fastapi import FastAPI, Request, WebSocket
 from fastapi.exceptions import RequestValidationError, WebSocketRequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
@@ -58,27 +57,6 @@ def refusal(reason: str, status: int, headers: Mapping[str, str] | None = None) 
     return JSONResponse({"error": printable(reason)}, status, headers)
 
 
-#: New path of each old path that REST format 2 has renamed.
-RENAMED_PATHS = MappingProxyType(
-    {"/api/pull": "/api/load", "/api/try": "/api/waypoints/check", "/api/bench": "/api/rig"}
-)
-METHODS = ["GET", "POST", "PUT", "PATCH", "DELETE"]
-
-
-def renamed_routes() -> APIRouter:
-    """Return routes that answer every request to an old path with 410 and the new path."""
-    router = APIRouter()
-    for path in RENAMED_PATHS:
-        router.add_api_route(path, gone, methods=METHODS, include_in_schema=False)
-    return router
-
-
-async def gone(request: Request) -> JSONResponse:
-    """Return the answer to a request to an old path."""
-    path = request.url.path
-    return refusal(f"{path} was renamed in REST format 2: use {RENAMED_PATHS[path]}", 410)
-
-
 def close_reason(text: str) -> str:
     """Return the text cut to the length of a WebSocket's close reason."""
     return text.encode()[:MAX_CLOSE_REASON_BYTES].decode(errors="ignore")
@@ -107,8 +85,10 @@ def answer_errors(app: FastAPI) -> None:
         return refusal(str(error), 422)
 
     @app.exception_handler(HTTPException)
-    def other(_request: Request, error: HTTPException) -> JSONResponse:
-        return refusal(str(error.detail), error.status_code, error.headers)
+    def other(request: Request, error: HTTPException) -> JSONResponse:
+        unknown = error.detail in ("Not Found", "Method Not Allowed")  # by Starlette, if no route fits
+        what = f"there is no {request.method} {request.url.path}; /api/docs lists all requests"
+        return refusal(what if unknown else str(error.detail), error.status_code, error.headers)
 
 
 def _reason(error: RequestValidationError) -> str:

@@ -1,26 +1,24 @@
-"""The rig over REST: devices, homing, tare, jogging, and the virtual lab's loads and faults."""
+"""The rig over REST: robot, joints, devices, and the faults that a virtual lab offers."""
 
-import asyncio
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query
-from pydantic import ConfigDict, Field
 
 from core.control.controllers import INNER_LOOPS, STRATEGIES
 from station.config.controllers import ControllerFile
-from station.config.loads import Load
+from station.config.plugins import installed
 from station.config.robots import load_robot
 from station.config.strict import Strict, preset_names
+from station.control.commands import JOG_TIP_SPEED_M_S, JOG_TURN_SPEED_RAD_S
 from station.control.messages import DeviceStatus
-from station.control.states import RefusedError
-from station.control.task import Space
-from station.lab.faults import FAULT_KINDS, LabFault, Part, check_faults
+from station.lab.faults import FAULT_KINDS, Part
+from station.recording.run_outcome import KNOWN_STD_N
 from station.service.audit import Audit, Entry
-from station.service.station_service import JOG_TIP_SPEED_M_S, JOG_TURN_SPEED_RAD_S, StationService
-from web.api.commands import Commands, Permitted
-from web.api.schemas import DoneOut, StartOut
+from station.service.supervisor import Supervisor
+from web.api.commands import Commands
+from web.api.files import FileThreads
 
 
 class JointOut(Strict):
@@ -32,6 +30,10 @@ class JointOut(Strict):
     lower: float
     upper: float
     speed: float
+
+
+#: Keys of a joint in the robot's file that are part of the response.
+JOINT_KEYS = ("name", "motion", "lower", "upper", "speed")
 
 
 class RobotOut(Strict):
@@ -61,19 +63,22 @@ class RigOut(Strict):
     max_force_reason: str
     """which part of the robot `max_force` protects, or which key sets it"""
     max_desired_force: float
-    """largest desired force of a motion `force` [N]; it is below `max_force`, because the force at the contact exceeds
-    the desired one by up to a half"""
+    """largest desired force of a motion `force` [N]; it is below `max_force`, because the force at the contact may be
+    half as large again as desired"""
+    known_force_std: float
+    """standard deviation above which a component of the force is shown as unknown [N]"""
     model: str
-    """integrator of the model if the station chose it for the curvature of the tubes; empty: the paper's integrator, or
-    the one of the station's file"""
+    """integrator of the controller's model, and length of its sub-links"""
     tip_speed: float
     """speed limit of the tip while it is jogged [m/s]"""
     turn_speed: float | None
     """limit of the tip's turning speed while it is jogged [rad/s]; null: the tip's direction is not controlled"""
     strategies: tuple[str, ...]
-    """names of the control strategies"""
+    """names of the control strategies and of installed outer loops"""
     inner: tuple[str, ...]
     """names of the inner loops"""
+    loads: tuple[str, ...]
+    """names of the installed loads"""
     controller: ControllerFile
     """controller of a free motion whose request specifies no controller"""
 
@@ -90,55 +95,7 @@ class DevicesOut(Strict):
 
     devices: tuple[DeviceStatus, ...]
     raw: Mapping[str, float]
-    """newest values by telemetry channel; a name is that of the recordings and contains the unit"""
-
-
-class HomeIn(Strict):
-    """The operator's confirmation for homing."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{"way_is_clear": True}]})
-
-    way_is_clear: Literal[True]
-    """the operator has checked that the tubes can be retracted and turned without touching anything"""
-    then_working_pose: bool = True
-    """true: after homing go to the working pose, if the robot's file has one; false: stay at the homing pose"""
-
-
-class GotoIn(Strict):
-    """A joint pose to which the robot moves; each joint moves at most at half of its top speed."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{}, {"joints": {"inner_translation": -0.08}}]})
-
-    joints: Annotated[Mapping[str, float], Field(min_length=1, max_length=20)] | None = None
-    """joint positions by name [rad or m]; omitted joints do not move; null: the working pose of the robot's file"""
-
-
-class JogIn(Strict):
-    """A jog velocity that applies for 0.3 s; repeat the request to continue the jog."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{"space": "tip", "velocity": [0.0, 0.0, 0.002]}]})
-
-    space: Space
-    velocity: Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=20)]
-    """velocity of every joint [rad/s or m/s]; or, in the world frame, of the tip [m/s] or of its direction [rad/s]"""
-
-
-class LoadIn(Strict):
-    """A load on the simulated tip or shaft, effective immediately."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{"load": {"kind": "constant", "magnitude": 0.2}}]})
-
-    load: Load
-
-
-class FaultsIn(Strict):
-    """Faults of the simulated devices, effective immediately."""
-
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"faults": [{"kind": "mute", "device": "tracker", "duration": 1.0}]}]}
-    )
-
-    faults: Annotated[tuple[LabFault, ...], Field(strict=False, min_length=1, max_length=20)]
+    """newest value of each telemetry channel; the names are those of the recordings and contain the unit"""
 
 
 class FaultKindOut(Strict):
@@ -162,37 +119,21 @@ RAW_CHANNELS = (
 )  # fmt: skip
 
 
-def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRouter:
+def bench_routes(supervisor: Supervisor, of: Commands, audit: Audit, files: FileThreads) -> APIRouter:
     """Return the routes under /api for the rig."""
     router = APIRouter(prefix="/api", tags=["bench"], dependencies=[Depends(of.renew_lease)])
-    supervisor = service.supervisor
-
-    def done() -> DoneOut:
-        return DoneOut(state=supervisor.status().state.name)
-
-    async def in_a_virtual_lab() -> None:
-        if supervisor.bench.devices is not None:
-            raise RefusedError("this rig has real devices; only a virtual lab accepts simulated loads and faults")
-
-    virtual: dict[str, Any] = of.command | {"dependencies": [Depends(in_a_virtual_lab), Depends(of.require_operator)]}
 
     @router.get("/rig", summary="Robot, joints and their limits")
     def bench() -> RigOut:
+        """Return robot, joints and limits, which do not change while the station runs."""
         bench = supervisor.bench
-        force = bench.robot.largest_force()
+        force = bench.best_known_robot.largest_force()
         return RigOut(
             robot=bench.robot.name,
             lab=bench.title,
             virtual=bench.devices is None,
             joints=tuple(
-                JointOut(
-                    name=joint.name,
-                    motion=joint.motion,
-                    unit="rad" if joint.motion == "rotation" else "m",
-                    lower=joint.lower,
-                    upper=joint.upper,
-                    speed=joint.speed,
-                )
+                JointOut(unit="rad" if joint.motion == "rotation" else "m", **joint.model_dump(include=set(JOINT_KEYS)))
                 for joint in bench.robot.joints
             ),
             can_track_target=bench.can_track_target,
@@ -201,64 +142,40 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
             max_force=force.newton,
             max_force_reason=force.reason,
             max_desired_force=bench.max_desired_force,
+            known_force_std=KNOWN_STD_N,
             model=bench.model_note,
             tip_speed=JOG_TIP_SPEED_M_S,
             turn_speed=None if bench.controller.task == "position" else JOG_TURN_SPEED_RAD_S,
-            strategies=tuple(STRATEGIES),
-            inner=tuple(INNER_LOOPS),
+            strategies=(*STRATEGIES, *installed("outer_loops")),
+            inner=(*INNER_LOOPS, *installed("inner_loops")),
+            loads=installed("loads"),
             controller=bench.controller,
         )
 
     @router.get("/robots", summary="Preset robots and how many motors they have")
     def robots() -> tuple[RobotOut, ...]:
+        """List the preset robots; `ctr-station serve --robot NAME` starts a virtual lab with one of them."""
         return _preset_robots()
 
     @router.get("/devices", summary="Every device with its details, and raw values")
     def devices() -> DevicesOut:
-        return devices_out(service)
+        """Return all devices and their newest values; unknown and stale values are omitted."""
+        return devices_out(supervisor)
 
     @router.get("/log", summary="Commands and refusals, newest first")
-    def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[Entry]:
-        return list(audit.tail(count))
-
-    @router.post("/connect", summary="Find the devices", **of.command)
-    async def connect(permit: Permitted) -> DoneOut:
-        await asyncio.to_thread(supervisor.connect, permit)
-        return done()
-
-    @router.post("/home", summary="Home every stage", **of.command)
-    async def home(request: HomeIn, permit: Permitted) -> DoneOut:
-        await asyncio.to_thread(service.home, then_work=request.then_working_pose, permit=permit)
-        return done()
-
-    @router.post("/goto", status_code=202, summary="Go to a joint pose", **of.command)
-    async def goto(request: GotoIn, permit: Permitted) -> StartOut:
-        run = await asyncio.to_thread(service.go_to, request.joints, permit=permit)
-        return StartOut(run_id=run.id, warnings=run.start.warnings)
-
-    @router.post("/tare", summary="Zero the force sensors", **of.command)
-    async def tare(permit: Permitted) -> DoneOut:
-        await asyncio.to_thread(supervisor.tare, permit)
-        return done()
-
-    @router.post("/jog", summary="Jog for 0.3 s; repeat to continue", **of.command)
-    async def jog(request: JogIn, permit: Permitted) -> DoneOut:
-        await asyncio.to_thread(service.jog, request.space, request.velocity, permit=permit)
-        return done()
-
-    @router.post("/load", summary="Apply a load to the simulated robot (virtual lab)", **virtual)
-    async def apply_load(request: LoadIn) -> DoneOut:
-        await asyncio.to_thread(service.apply_load, request.load)
-        return done()
+    async def log(count: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[Entry]:
+        """Return the newest log entries; every changing request has one, with sender, address and outcome."""
+        return list(await files.run(audit.tail, count))
 
     @router.get("/faults", summary="Faults that can be injected (virtual lab)")
     def faults() -> list[FaultKindOut]:
+        """List the kinds of faults, each with the devices that it can affect and the bound of its value."""
         robot = supervisor.bench.robot
         targets: dict[Part, tuple[str, ...]] = {
             "stages": ("stages",),
             "joint": tuple(joint.name for joint in robot.joints),
             "tracker": ("tracker",),
-            "sensor": ("sensors", *(tube.name for tube in robot.tubes)),
+            "sensor": ("sensors", *robot.sensor_names),
         }
         return [
             FaultKindOut(
@@ -272,26 +189,15 @@ def bench_routes(service: StationService, of: Commands, audit: Audit) -> APIRout
             for name, kind in FAULT_KINDS.items()
         ]
 
-    @router.post("/faults", summary="Inject device faults (virtual lab)", **virtual)
-    async def inject(request: FaultsIn) -> DoneOut:
-        check_faults(request.faults, supervisor.bench.robot)
-        await asyncio.to_thread(supervisor.inject, request.faults)
-        return done()
-
-    @router.delete("/faults", summary="Remove injected faults (virtual lab)", **virtual)
-    async def remove_faults() -> DoneOut:
-        await asyncio.to_thread(supervisor.inject, ())
-        return done()
-
     return router
 
 
-def devices_out(service: StationService) -> DevicesOut:
+def devices_out(supervisor: Supervisor) -> DevicesOut:
     """Return the state of all devices as a response; unknown or stale values are omitted."""
-    status = service.supervisor.status()
+    status = supervisor.status()
     raw: dict[str, float] = {}
     for group in RAW_CHANNELS:
         if group in status.values and group not in status.stale_groups:
-            names = [c.column for c in service.supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
+            names = [c.column for c in supervisor.channels.all if c.name.rsplit(".", 1)[0] == group]
             raw |= {name: x for name, x in zip(names, status.values[group].tolist(), strict=True) if x == x}
     return DevicesOut(devices=status.devices, raw=raw)

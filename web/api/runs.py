@@ -1,20 +1,25 @@
 """REST routes of the recorded runs: list, notes, recordings, reports, replay and deletion."""
 
 import asyncio
+import contextlib
 import shutil
 import sys
 import tempfile
+from collections.abc import Mapping
 from functools import partial
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, Response
 from pydantic import ConfigDict, Field
 from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
-from station.config.strict import Row, Strict
+from station.config.strict import Line, Row, Strict
+from station.control.telemetry import FIELDS
+from station.recording.export import TICK_RATE_HZ, fields_of
 from station.recording.history import (
     MAX_NOTES_CHARS,
     MAX_TAG_CHARS,
@@ -26,15 +31,21 @@ from station.recording.history import (
     RunHistory,
     RunSettings,
 )
+from station.recording.read import open_case
 from station.recording.run_folder import VIDEOS_FOLDER
 from station.recording.run_outcome import RecordingError
+from station.regular_file import is_regular
 from station.report.curves import Curve, read_curves
 from web.api.commands import Commands, cancel_on_disconnect
+from web.api.files import FILES_BUSY, FileThreads, stored_file
 from web.api.schemas import REFUSED_RESPONSES, ErrorOut
 
+FigureFormat = Literal["pdf", "svg"]
 ExportFormat = Literal["csv", "parquet", "mat"]
 NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "description": "no such run or case"}}
 MCAP_MEDIA_TYPE = "application/octet-stream"
+#: Time to wait for the end of a killed command [s].
+KILL_TIMEOUT_S = 2.0
 #: Content-Security-Policy of a report or replay page. The page may load nothing, because the file is complete.
 STANDALONE_POLICY = (
     "default-src 'none'; img-src data: blob:; media-src blob:; font-src data:; style-src 'unsafe-inline';"
@@ -43,21 +54,43 @@ STANDALONE_POLICY = (
 )
 
 
-Tag = Annotated[str, Field(min_length=1, max_length=MAX_TAG_CHARS)]
+#: Meaning of each field of telemetry, by its name.
+MEANINGS = {field.name: field.meaning for field in FIELDS}
+
+
+Tag = Annotated[Line, Field(min_length=1, max_length=MAX_TAG_CHARS)]
 
 
 class NotesIn(Strict):
-    """What the operator adds to a run; omitted fields stay as they are."""
+    """Notes, title, star and tags of a run; omitted fields stay as they are."""
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"notes": "New coil since this morning.", "tags": ["coil 2"], "starred": True}]}
     )
 
     notes: Annotated[str, Field(max_length=MAX_NOTES_CHARS)] | None = None
-    title: Annotated[str, Field(max_length=MAX_TITLE_CHARS)] | None = None
-    """empty: the recorded title"""
+    title: Annotated[Line, Field(max_length=MAX_TITLE_CHARS)] | None = None
+    """title of the run; empty: the recorded title"""
     starred: bool | None = None
     tags: Annotated[tuple[Tag, ...], Field(max_length=MAX_TAGS), Row] | None = None
+
+
+class FieldOut(Strict):
+    """A field of a recording."""
+
+    columns: int
+    """number of columns of the field"""
+    meaning: str
+    """meaning of the field; empty: the recording is of another version"""
+
+
+class ChannelsOut(Strict):
+    """Telemetry fields that a case has recorded."""
+
+    ticks: int
+    """number of rows, 500 in a second"""
+    fields: Mapping[str, FieldOut]
+    """fields by name, in the order of the columns"""
 
 
 class DeletedOut(Strict):
@@ -66,15 +99,15 @@ class DeletedOut(Strict):
     deleted: str
 
 
-def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
-    """Return the REST routes under /api/runs."""
+def runs_routes(history: RunHistory, of: Commands, files: FileThreads) -> APIRouter:
+    """Return the REST routes under /api/runs. All accesses to the folder of runs use `files`."""
     router = APIRouter(
         prefix="/api/runs",
         tags=["runs"],
         dependencies=[Depends(of.renew_lease)],
-        responses={422: REFUSED_RESPONSES[422]},
+        responses={422: REFUSED_RESPONSES[422], **FILES_BUSY},
     )
-    rendering = asyncio.Lock()
+    found, rendering = partial(_found, files), asyncio.Lock()
 
     @router.get("", summary="Runs, newest first")
     async def runs(
@@ -85,22 +118,31 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         *,
         deleted: Annotated[bool, Query(description="list the deleted runs instead")] = False,
     ) -> list[RunEntry]:
+        """List the runs that match all filters; `deleted` lists runs that can still be restored."""
         chosen = history.deleted() if deleted else history
-        return list((await asyncio.to_thread(chosen.runs, experiment, label, text))[:limit])
+        return list((await files.run(chosen.runs, experiment, label, text))[:limit])
 
     @router.get("/{run}", responses=NOT_FOUND, summary="One run; `latest` is the newest")
     async def one(run: str) -> RunDetails:
-        return await _found(history.run, run)
+        """Return settings, errors of each case, notes and files of a run."""
+        return await found(history.run, run)
 
     @router.get("/{run}/settings", responses=NOT_FOUND, summary="Settings of a recorded case, to run it again")
     async def settings(
         run: str, case: Annotated[str, Query(description="may be omitted if the run has only one case")] = ""
     ) -> RunSettings:
-        return await _found(history.settings, run, case)
+        """Return the settings of a recorded case in the form of a start request."""
+        return await found(history.settings, run, case)
 
     @router.put("/{run}/notes", responses=NOT_FOUND, summary="Set notes, title, star or tags of a run")
     async def notes(run: str, body: NotesIn) -> RunDetails:
-        return await _found(partial(history.annotate, **body.model_dump()), run)
+        """Save notes, title, star or tags at once, even while another client views the run."""
+        return await found(partial(history.annotate, **body.model_dump()), run)
+
+    @router.get("/{run}/channels", responses=NOT_FOUND, summary="Telemetry fields of a case, to choose an export")
+    async def channels(run: str, case: str = "") -> ChannelsOut:
+        """Return the number of rows, and the columns and meaning of each field that an export can include."""
+        return await files.run(_channels, await found(history.recording, run, case))
 
     @router.get(
         "/{run}/export",
@@ -108,24 +150,42 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         responses=NOT_FOUND | {409: REFUSED_RESPONSES[409]},
         summary="Telemetry of a case for other programs",
     )
-    async def export(request: Request, run: str, format: ExportFormat, case: str = "") -> FileResponse:  # noqa: A002
-        recording = await _found(history.recording, run, case)
-        out = Path(await asyncio.to_thread(tempfile.mkdtemp, prefix="ctr-export-"))
-        remove = partial(shutil.rmtree, out, ignore_errors=True)
+    async def export(
+        request: Request,
+        run: str,
+        format: ExportFormat,  # noqa: A002
+        case: str = "",
+        fields: Annotated[
+            str, Query(description="names of fields separated by commas, as `tip_measured,force`; empty: all")
+        ] = "",
+        rate: Annotated[float, Query(ge=0.1, le=TICK_RATE_HZ, description="rows in a second [1/s]")] = TICK_RATE_HZ,
+    ) -> Response:
+        """Return telemetry as CSV, Parquet or MATLAB file; fewer fields and a lower rate make a smaller file."""
+        path = await found(history.recording, run, case)
+        name, folder = f"{path.parent.name}-{path.stem}.{format}", str(path.parent.absolute())
+        chosen = ("--case", path.stem, "--format", format, f"--fields={fields}", "--rate", str(rate))
+        return await _written(request, name, "export", folder, *chosen, "--out")
 
-        async def write() -> None:
-            async with rendering:
-                await _command(
-                    "export", recording.parent, "--case", recording.stem, "--format", format, "--out", str(out)
-                )
-
-        try:
-            await cancel_on_disconnect(request, write())
-        except BaseException:
-            remove()
-            raise
-        name = f"{recording.parent.name}-{recording.stem}.{format}"
-        return FileResponse(out / f"{recording.stem}.{format}", filename=name, background=BackgroundTask(remove))
+    @router.get(
+        "/{run}/figure",
+        response_class=FileResponse,
+        responses=NOT_FOUND | {409: REFUSED_RESPONSES[409]},
+        summary="Tip error and force of two cases in one figure",
+    )
+    async def figure(
+        request: Request,
+        run: str,
+        other: Annotated[str, Query(description="the other run, which may be the same")],
+        format: FigureFormat,  # noqa: A002
+        case: str = "",
+        other_case: str = "",
+    ) -> Response:
+        """Return a vector figure for a journal's column of 88 mm; the case may be omitted if a run has only one."""
+        both = [await found(history.recording, run, case), await found(history.recording, other, other_case)]
+        names = [f"{path.parent.absolute()}:{path.stem}" for path in both]
+        return await _written(
+            request, f"{both[0].parent.name}-{both[0].stem}-overlay.{format}", "figure", *names, "--out"
+        )
 
     @router.get(
         "/{run}/recording",
@@ -136,9 +196,11 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     )
     async def recording(
         run: str, case: Annotated[str, Query(description="may be omitted if the run has only one case")] = ""
-    ) -> FileResponse:
-        path = await _found(history.recording, run, case)
-        return FileResponse(path, media_type=MCAP_MEDIA_TYPE, filename=f"{path.parent.name}-{path.name}")
+    ) -> Response:
+        """Return an MCAP file with every channel at 500 Hz, which Foxglove can open."""
+        path = await found(history.recording, run, case)
+        name = f"{path.parent.name}-{path.name}"
+        return await stored_file(files, path.parent, path.name, MCAP_MEDIA_TYPE, attachment=name)
 
     @router.get(
         "/{run}/video",
@@ -149,23 +211,24 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     )
     async def video(
         request: Request, run: str, camera: Annotated[str, Query(description="may be omitted: the first camera")] = ""
-    ) -> FileResponse:
-        details: RunDetails = await _found(history.run, run)
+    ) -> Response:
+        """Return a camera's video as MP4 file; the details of the run name its cameras."""
+        details: RunDetails = await found(history.run, run)
         name = camera or next(iter(details.videos), "")
         if name not in details.videos:
             names = ", ".join(details.videos) or "none"
             raise HTTPException(404, f"run '{details.id}' has no video '{camera}'; its videos are: {names}")
-        folder: Path = await _found(history.find, details.id)
+        folder: Path = await found(history.find, details.id)
         path = folder / VIDEOS_FOLDER / f"{name}.mp4"
 
         async def write() -> None:
             async with rendering:
-                if not path.is_file():
+                if not await files.run(is_regular, path):
                     options = ("--format", "mp4", "--camera", name, "--out", str(path.parent.absolute()))
                     await _command("export", folder, *options)
 
         await cancel_on_disconnect(request, write())
-        return FileResponse(path, filename=f"{folder.name}-{name}.mp4", media_type="video/mp4")
+        return await stored_file(files, path.parent, path.name, "video/mp4", attachment=f"{folder.name}-{name}.mp4")
 
     @router.get(
         "/{run}/report",
@@ -173,12 +236,14 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         responses=NOT_FOUND,
         summary="Report of a run: figures and tables in a page",
     )
-    async def report(request: Request, run: str, *, fresh: bool = False) -> FileResponse:
-        return await _page(request, await _found(history.find, run), "report", fresh=fresh)
+    async def report(request: Request, run: str, *, fresh: bool = False) -> Response:
+        """Return the report, which the first request renders within some seconds; `fresh` renders it again."""
+        return await _page(request, await found(history.find, run), "report", fresh=fresh)
 
     @router.get("/{run}/replay", response_class=FileResponse, responses=NOT_FOUND, summary="Replay of a run as a page")
-    async def replay(request: Request, run: str, *, fresh: bool = False) -> FileResponse:
-        return await _page(request, await _found(history.find, run), "replay", fresh=fresh)
+    async def replay(request: Request, run: str, *, fresh: bool = False) -> Response:
+        """Return a page that shows the robot in 3D and needs no server; `fresh` renders it again."""
+        return await _page(request, await found(history.find, run), "replay", fresh=fresh)
 
     @router.get(
         "/{run}/curves", responses=NOT_FOUND, summary="Error and force over time of each case, for a small plot"
@@ -186,17 +251,18 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     async def curves(
         run: str,
         *,
-        stored: Annotated[bool, Query(description="only the curves of an earlier request, else none; quick")] = False,
+        stored: Annotated[bool, Query(description="return only curves that an earlier request computed")] = False,
     ) -> dict[str, Curve]:
-        folder = await _found(history.find, run)
+        """Return the curves of each case; a line has at most 240 points, and its peaks are kept."""
+        folder = await found(history.find, run)
         if stored:
-            return dict(await asyncio.to_thread(read_curves, folder) or {})
+            return dict(await files.run(read_curves, folder) or {})
         async with rendering:
-            found = await asyncio.to_thread(read_curves, folder)
-            if found is None:
+            known = await files.run(read_curves, folder)
+            if known is None:
                 await _command("curves", folder)
-                found = await asyncio.to_thread(read_curves, folder)
-        return dict(found or {})
+                known = await files.run(read_curves, folder)
+        return dict(known or {})
 
     @router.delete(
         "/{run}",
@@ -207,7 +273,8 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
     async def delete(
         run: str, confirm: Annotated[str, Query(description="the run's name, as a confirmation")] = ""
     ) -> DeletedOut:
-        await _found(history.delete, run, confirm)
+        """Delete a run; `confirm` repeats the id of the run, so that no other run is deleted by mistake."""
+        await found(history.delete, run, confirm)
         return DeletedOut(deleted=run)
 
     @router.post(
@@ -217,40 +284,69 @@ def runs_routes(history: RunHistory, of: Commands) -> APIRouter:
         summary="Restore a deleted run",
     )
     async def restore(run: str) -> RunDetails:
-        return await _found(history.restore, run)
+        """Restore a deleted run with its id and its files."""
+        return await found(history.restore, run)
 
-    async def _page(request: Request, folder: Path, command: str, *, fresh: bool) -> FileResponse:
+    async def _written(request: Request, name: str, *command: str) -> Response:
+        """Run a command with an output path as its last argument; return the written file as the download `name`."""
+        out = Path(await asyncio.to_thread(tempfile.mkdtemp, prefix="ctr-export-"))
+        remove = partial(shutil.rmtree, out, ignore_errors=True)
+
+        async def write() -> None:
+            async with rendering:
+                await _command(*command, str(out / name))
+
+        try:
+            await cancel_on_disconnect(request, write())
+        except BaseException:
+            remove()
+            raise
+        media = guess_type(name)[0] or MCAP_MEDIA_TYPE
+        return await stored_file(files, out, name, media, attachment=name, background=BackgroundTask(remove))
+
+    async def _page(request: Request, folder: Path, command: str, *, fresh: bool) -> Response:
         path = folder / f"{command}.html"
 
         async def render() -> None:
             async with rendering:  # one report at a time, because rendering uses a whole processor for seconds
-                if fresh or not path.is_file():
+                if fresh or not await files.run(is_regular, path):
                     await _command(command, folder)
 
         await cancel_on_disconnect(request, render())
-        return FileResponse(path, headers={"content-security-policy": STANDALONE_POLICY, "cache-control": "no-cache"})
+        headers = {"content-security-policy": STANDALONE_POLICY, "cache-control": "no-cache"}
+        return await stored_file(files, folder, path.name, "text/html", headers=headers)
 
     return router
 
 
-async def _found(function: Any, *arguments: Any) -> Any:
+def _channels(recording: Path) -> ChannelsOut:
+    with open_case(recording) as recorded:
+        counts = fields_of(recorded.channels)
+        fields = {name: FieldOut(columns=count, meaning=MEANINGS.get(name, "")) for name, count in counts.items()}
+        return ChannelsOut(ticks=recorded.ticks, fields=fields)
+
+
+async def _found(files: FileThreads, function: Any, *arguments: Any) -> Any:
     try:
-        return await asyncio.to_thread(function, *arguments)
+        return await files.run(function, *arguments)
     except NoRunError as error:
         raise HTTPException(404, str(error)) from None
 
 
-async def _command(command: str, folder: Path, *options: str) -> None:
+async def _command(command: str, run: Path | str, *options: str) -> None:
     """Run a command of `ctr-station` on a run in a separate process, to keep the station responsive."""
+    folder = Path(run).absolute()
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "station", command, str(folder.absolute()), *options,
+        sys.executable, "-m", "station", command, str(folder), *options,
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
     try:
         _, errors = await process.communicate()
     except asyncio.CancelledError:
         process.kill()
-        await process.wait()
+        # A process that waits for a disk may not end.
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(process.wait(), KILL_TIMEOUT_S)
         raise
     if process.returncode:
         lines = errors.decode(errors="replace").strip().splitlines()

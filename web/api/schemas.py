@@ -1,12 +1,11 @@
 """Request and response types of the REST interface, in SI units. NaN, infinity and unknown fields are refused."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
-from station.config.controllers import ControllerFile, Stiffness
-from station.config.loads import Load
+from core.model.statics import Integrator
 from station.config.motions import TipMotion
 from station.config.strict import Strict, Vector
 from station.service.solve import Stability
@@ -24,46 +23,10 @@ class ErrorOut(Strict):
 
 
 REFUSED_RESPONSES: dict[int | str, dict[str, Any]] = {
-    403: {"model": ErrorOut, "description": "viewers, foreign hosts and pages of other sites"},
+    403: {"model": ErrorOut, "description": "the client is a viewer, a foreign host or a page of another site"},
     409: {"model": ErrorOut, "description": "not allowed in the present state, or another client is operator"},
     422: {"model": ErrorOut, "description": "a value is missing, unknown or out of range"},
 }
-
-EXAMPLE_CIRCLE = {"kind": "circle", "radius": 0.01, "period": 20.0, "normal": [0.0, 0.0, 1.0]}
-EXAMPLE_CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
-
-
-class StartIn(Strict):
-    """A named experiment, or a free motion from the present pose, to start; omitted fields use the current settings."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {"experiment": "fig10", "case": "feedforward"},
-                {"trajectory": EXAMPLE_CIRCLE, "controller": EXAMPLE_CONTROLLER, "duration": 60.0},
-            ]
-        }
-    )
-
-    experiment: str | None = None
-    """name of a preset, see `GET /api/experiments`"""
-    case: str | None = None
-    """case of the experiment; null: the first"""
-    trajectory: TipMotionIn | None = None
-    controller: ControllerFile | None = None
-    load: Load | None = None
-    """load on the simulated tip"""
-    duration: Annotated[float, Field(gt=0.0, le=86400.0)] | None = None
-    """[s]"""
-
-    @model_validator(mode="after")
-    def _experiment_or_motion(self) -> Self:
-        free = any(value is not None for value in (self.trajectory, self.controller, self.load, self.duration))
-        if self.experiment is not None and free:
-            raise ValueError("give an experiment or trajectory, controller, load and duration, not both")
-        if self.experiment is None and self.case is not None:
-            raise ValueError("a case needs its experiment")
-        return self
 
 
 class StartOut(Strict):
@@ -71,7 +34,7 @@ class StartOut(Strict):
 
     run_id: str
     warnings: tuple[str, ...]
-    """for the operator, for example the time from which the load exceeds what the joints can compensate"""
+    """warnings for the operator, for example the time from which the load exceeds what the joints can compensate"""
 
 
 class DoneOut(Strict):
@@ -82,28 +45,9 @@ class DoneOut(Strict):
     """message for the operator; empty if there is nothing to report"""
 
 
-class MarkIn(Strict):
-    """Mark of the present moment of a run."""
-
-    text: Annotated[str, Field(min_length=1, max_length=200)] = "marked"
-    """what has happened, for example: touched the tip"""
-
-
-class StiffnessIn(Strict):
-    """Stiffness of the tip for the rest of the present motion, which reaches it within 1 s."""
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{"stiffness": [30.0, 30.0, 300.0]}]})
-
-    stiffness: Stiffness
-    """stiffness of the tip along the axes x, y, z of the motion's `stiffness_frame` [N/m]"""
-
-
-class StopOut(Strict):
+class StopOut(DoneOut):
     """The state after a STOP."""
 
-    state: str
-    note: str = ""
-    """message for the operator; empty if there is nothing to report"""
     confirmed: bool
     """true: every axis is at rest, and `note` is information; false: use the emergency stop if anything moves"""
 
@@ -127,6 +71,8 @@ class RunOut(Strict):
     """whether the run has, or will have, a recording; a motion to a pose has no recording"""
     recording: bool
     """whether the run is being recorded, or its recording is being finalised"""
+    stiffness: tuple[tuple[float | None, ...], ...] | None = None
+    """stiffness at each point of a palpation, row by row [N/m]; null: not known yet"""
 
 
 class LoopOut(Strict):
@@ -155,6 +101,8 @@ class DeviceOut(Strict):
 
 class OperatorIn(Strict):
     """A request to become operator."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"name": "Anna", "take_over": False}]})
 
     name: str | None = Field(default=None, max_length=MAX_NAME_CHARS)
     """shown to all clients; null: the sender's name"""
@@ -196,7 +144,7 @@ class StatusOut(Strict):
     state: str
     """OFF, CONNECTING, CONNECTED, HOMING, HOMED, READY, RUNNING, HOLD, STOPPED or FAULT"""
     cause: str
-    """why the state is HOLD, STOPPED or FAULT, in words"""
+    """human-readable cause of the state HOLD, STOPPED or FAULT"""
     details: str
     """device, address, raw values and load that belong to `cause` or `message`; empty if there are none"""
     phase: str
@@ -217,10 +165,9 @@ class StatusOut(Strict):
     simulated: bool
     """true: at least one device is simulated, by a virtual lab or by its own report"""
     warnings: tuple[str, ...]
-    """for example: real-time scheduling refused, tubes that snap, a contact on the shaft"""
+    """warnings, for example: real-time scheduling is refused, tubes snap, a load acts on the shaft"""
     model: str
-    """integrator of the model if the station chose it for the curvature of the tubes; empty: the paper's integrator, or
-    the one of the station's file"""
+    """integrator of the controller's model, and length of its sub-links"""
     max_force: float
     """force on the tip at which a motion ends in HOLD, or the tip moves no further against the force [N]"""
     run: RunOut | None
@@ -229,8 +176,8 @@ class StatusOut(Strict):
     joints: Mapping[str, float]
     """joint positions by name [rad or m]"""
     tip_measured: Vector | None
-    """tip by the tracker, world frame [m]; this and the following values are null while they are stale, that is during
-    homing or while a device is silent"""
+    """tip by the tracker, world frame [m]; this and the following values are null while stale: during homing or while
+    a device is silent"""
     tip_estimated: Vector | None
     """tip by the loaded model [m]"""
     tip_desired: Vector | None
@@ -247,7 +194,7 @@ class StatusOut(Strict):
     direction_true: Vector | None
     """true direction of the simulated robot's tip, virtual lab only"""
     force: Vector | None
-    """force at the tip, estimated from the base sensors [N]"""
+    """force at the tip, estimated from the base sensors, or without them from the deflection [N]"""
     contact: ContactOut | None
     """load that acts on the shaft; null: the load acts at the tip or is too small, or the robot moves too fast"""
 
@@ -266,7 +213,7 @@ class CaseOut(Strict):
     words: str
     """human-readable description"""
     duration: float
-    """[s]"""
+    """duration of the motion [s]"""
     strategy: str
     trajectory: str
     load: str
@@ -328,6 +275,8 @@ class SolveOut(Strict):
     """position of the tip, world frame [m]"""
     direction: Vector
     """direction of the tip, unit vector, world frame"""
+    ends: Mapping[str, Vector]
+    """position of every tube's end, world frame [m]; the tip is the end of the innermost tube"""
     joints: tuple[str, ...]
     """order of the Jacobian's columns"""
     jacobian: tuple[tuple[float, ...], ...]
@@ -338,3 +287,7 @@ class SolveOut(Strict):
     stability: Stability
     """whether the shape is stable; this may be unknown if a moment acts at the tip, because a moment has no potential
     energy"""
+    integrator: Integrator
+    """method that computed the shape; it follows from the tubes unless the robot's file requests the paper's method"""
+    sublink: float
+    """length of the integrator's steps [m]"""

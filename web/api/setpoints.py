@@ -24,13 +24,13 @@ from starlette.types import Message
 from core.control.setpoint_request import SetpointRequest
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.control.ring import PHASE, RUN, STATE
-from station.control.states import State
+from station.control.ring import PHASE, RUN
 from station.control.task import Phase
 from station.service.audit import Audit
+from station.service.commands import StreamAgreement
 from station.service.runs import RunRequest
-from station.service.setpoint_stream import RateExceeded, SetpointRefused, SetpointStream, StreamAgreement
-from station.service.station_service import StationService
+from station.service.setpoint_stream import RateExceeded, SetpointRefused, SetpointStream
+from station.service.supervisor import Supervisor
 from web.access.identity import Role, Sender, sender_of
 from web.access.lease import Lease, LeaseHeldError
 from web.api.commands import commanding, permit_of
@@ -44,9 +44,11 @@ FIRST_MESSAGE_TIMEOUT_S = 20.0
 MAX_ANSWERS = 500
 #: Close codes of the WebSocket (RFC 6455): normal end; refusal; messages that are too frequent or too long.
 NORMAL_CLOSURE, POLICY_VIOLATION, MESSAGE_TOO_BIG = 1000, 1008, 1009
+#: Close code of a client that has disconnected without a close frame (RFC 6455).
+NOT_CLOSED = 1006
 
 
-def setpoint_routes(service: StationService, lease: Lease, audit: Audit) -> APIRouter:
+def setpoint_routes(supervisor: Supervisor, lease: Lease, audit: Audit) -> APIRouter:
     """Return the route `/api/setpoints`. Its client must be operator; it becomes operator if there is no operator."""
     router = APIRouter(prefix="/api")
 
@@ -55,19 +57,19 @@ def setpoint_routes(service: StationService, lease: Lease, audit: Audit) -> APIR
         await socket.accept()
         who, run = sender_of(socket), None
         try:
-            agreement, run = await _start_run(socket, service, lease, who)
+            agreement, run = await _start_run(socket, supervisor, lease, who)
             # Logged before the answer is sent, because the run has started even if the client has disconnected by now.
             audit.write(str(who), f"setpoints of run {run.id}", who.where, "started")
             await socket.send_json({"run_id": run.id, "warnings": run.start.warnings})
-            await _wait_until_ready(service, lease, who, run)
-            await _follow_messages(socket, service, lease, who, agreement, run)
+            await _wait_until_ready(socket, supervisor, lease, who, run)
+            await _follow_messages(socket, supervisor, lease, who, agreement, run)
         except _Refused as error:
             await _close(socket, {"error": str(error)}, error.code)
         except (WebSocketDisconnect, RuntimeError):
             return  # the client has disconnected
         finally:
             if run is not None:
-                service.send_setpoint(run, None)
+                supervisor.send_setpoint(run, None)
                 audit.write(str(who), f"setpoints of run {run.id}", who.where, "ended")
 
     return router
@@ -82,17 +84,17 @@ class _Refused(CtrError):
 
 
 async def _start_run(
-    socket: WebSocket, service: StationService, lease: Lease, who: Sender
+    socket: WebSocket, supervisor: Supervisor, lease: Lease, who: Sender
 ) -> tuple[StreamAgreement, RunRequest]:
     """Start the streamed run that the client's first message specifies."""
     if who.role is not Role.OPERATOR:
-        raise _Refused("viewers may look and press STOP; this needs the operators' token")
+        raise _Refused("viewers may only view and press STOP; this needs the operators' token")
     try:
         first = await asyncio.wait_for(socket.receive(), FIRST_MESSAGE_TIMEOUT_S)
-        permit = service.supervisor.permit(permit_of(socket).gone)  # the first message is the request to move
+        permit = supervisor.permit(permit_of(socket).gone)  # issued now: this message requests the motion
         agreement = StreamAgreement.model_validate(_object(first), strict=False)
-        with commanding(lease, who):
-            run = await asyncio.to_thread(service.start_stream, agreement, permit=permit)
+        async with commanding(lease, who, permit) as permit:
+            outcome = await asyncio.to_thread(supervisor.send, agreement, permit)
     except TimeoutError:
         raise _Refused(
             f"no message for {FIRST_MESSAGE_TIMEOUT_S:g} s; the first message starts the run, {{}} uses the defaults"
@@ -102,22 +104,34 @@ async def _start_run(
         raise _Refused(f"{'.'.join(map(str, first['loc'])) or 'message'}: {first['msg']}") from None
     except CtrError as error:
         raise _Refused(str(error)) from None
-    return agreement, run
+    return agreement, outcome.started
 
 
-async def _wait_until_ready(service: StationService, lease: Lease, who: Sender, run: RunRequest) -> None:
-    """Wait until the run accepts setpoints; meanwhile the tip rests and the force sensors are zeroed."""
-    if not await until_accepting(service, run, lambda: lease.renew(who.client)):
-        status = service.supervisor.status()
+async def _wait_until_ready(
+    socket: WebSocket, supervisor: Supervisor, lease: Lease, who: Sender, run: RunRequest
+) -> None:
+    """Wait until the run accepts setpoints; meanwhile the tip rests and the force sensors are zeroed.
+
+    Raises:
+        WebSocketDisconnect: the client has disconnected; its lease is not renewed any longer.
+    """
+    gone = permit_of(socket).gone
+
+    def client_is_connected() -> None:
+        if gone is not None and gone():
+            raise WebSocketDisconnect(NOT_CLOSED)
+        lease.renew(who.client)
+
+    if not await until_accepting(supervisor, run, client_is_connected):
+        status = supervisor.status()
         raise _Refused(f"the run ended before it moved: {status.state.name} {status.cause}".strip(), NORMAL_CLOSURE)
 
 
 async def _follow_messages(
-    socket: WebSocket, service: StationService, lease: Lease, who: Sender, agreement: StreamAgreement, run: RunRequest
+    socket: WebSocket, supervisor: Supervisor, lease: Lease, who: Sender, agreement: StreamAgreement, run: RunRequest
 ) -> None:
     """Pass the client's setpoints on to the run until the run ends or the client disconnects."""
-    supervisor = service.supervisor
-    now, row = supervisor.bench.clock.now, _row(service)
+    now, row = supervisor.bench.clock.now, _row(supervisor)
     start = supervisor.channels.of(row, "tip_desired").copy()
     stream = SetpointStream(agreement, start, now())
     ready = {"ready": True, "tip": start.tolist(), "time": float(row[0])}
@@ -126,13 +140,13 @@ async def _follow_messages(
     await socket.send_json(ready)
     last_valid, end_sent = now(), False
     waiting, arrived, answers = list[Message](), asyncio.Event(), deque[str](maxlen=MAX_ANSWERS)
-    watch = asyncio.create_task(until_over(service, run))
+    watch = asyncio.create_task(until_over(run))
     watch.add_done_callback(lambda _: arrived.set())
     answered = asyncio.Event()
     tasks = [
         watch,
         asyncio.create_task(_receive(socket, waiting, arrived)),
-        asyncio.create_task(_send_answers(socket, service, run, agreement, answers, answered)),
+        asyncio.create_task(_send_answers(socket, supervisor, run, agreement, answers, answered)),
     ]
     try:
         while True:
@@ -147,9 +161,9 @@ async def _follow_messages(
                 raise _Refused(str(error), MESSAGE_TOO_BIG) from None
             if ends:
                 end_sent = True
-                service.send_setpoint(run, None)
+                supervisor.send_setpoint(run, None)
             elif setpoint is not None:
-                service.send_setpoint(run, setpoint)
+                supervisor.send_setpoint(run, setpoint)
                 last_valid = now()
             answers.extend(refusals)
             answered.set()
@@ -157,7 +171,7 @@ async def _follow_messages(
         for task in tasks:
             task.cancel()
     status = supervisor.status()
-    # The control loop counts the time without setpoints from a slightly different start, so half of it is enough here.
+    # The control loop measures the time without setpoints from a slightly different start, so half of the limit counts.
     timeout = agreement.end
     silent = "" if end_sent or now() - last_valid < 0.5 * timeout else f"no valid setpoint for {timeout:g} s"
     await _close(socket, {"ended": status.state.name, "cause": status.cause or silent}, NORMAL_CLOSURE)
@@ -172,7 +186,7 @@ async def _receive(socket: WebSocket, waiting: list[Message], arrived: asyncio.E
 
 async def _send_answers(
     socket: WebSocket,
-    service: StationService,
+    supervisor: Supervisor,
     run: RunRequest,
     agreement: StreamAgreement,
     answers: deque[str],
@@ -183,7 +197,7 @@ async def _send_answers(
         while True:
             await answered.wait()
             answered.clear()
-            tip = _tip_out(service, run, agreement)
+            tip = _tip_out(supervisor, run, agreement)
             while answers:
                 await socket.send_json({**tip, "refused": answers.popleft()})
 
@@ -260,9 +274,9 @@ def _object(received: Message) -> dict[str, Any]:
     return message
 
 
-def _tip_out(service: StationService, run: RunRequest, agreement: StreamAgreement) -> dict[str, Any]:
+def _tip_out(supervisor: Supervisor, run: RunRequest, agreement: StreamAgreement) -> dict[str, Any]:
     """Return tip, force and error of a streamed run, and the tip's directions if the direction is controlled."""
-    of, row = service.supervisor.channels.of, _row(service)
+    of, row = supervisor.channels.of, _row(supervisor)
     desired, measured = of(row, "tip_desired"), of(row, "tip_measured")
     directions = ("direction_measured", "direction_desired") if agreement.controls_direction else ()
     return {
@@ -273,49 +287,46 @@ def _tip_out(service: StationService, run: RunRequest, agreement: StreamAgreemen
         "force": of(row, "force").tolist(),
         "error": (measured - desired).tolist(),
         **{group: of(row, group).tolist() for group in directions},
-        "held_back": _limiting_reason(service, run, row),
+        "held_back": _limiting_reason(supervisor, run, row),
     }
 
 
-def _limiting_reason(service: StationService, run: RunRequest, row: Array) -> str:
+def _limiting_reason(supervisor: Supervisor, run: RunRequest, row: Array) -> str:
     """Return the names of the limits that keep the tip from its setpoint; empty if no limit is active."""
-    of = service.supervisor.channels.of
+    of = supervisor.channels.of
     sigma = float(of(row, "sigma")[-1])
     limits, floor = run.start.task.controller.limits, run.start.task.controller.aim.floor
     singular = [f"singular pose, sigma {1e3 * sigma:.2g} of {1e3 * floor:g} mm/s"] * (sigma < floor)
     return ", ".join((*singular, *limits.active(of(row, "joints"), of(row, "at_bound"), np.zeros(0))))
 
 
-def _row(service: StationService) -> Array:
-    row = service.supervisor.ring.latest()
+def _row(supervisor: Supervisor) -> Array:
+    row = supervisor.ring.latest()
     if row is None:
-        raise _Refused("there is no telemetry")
+        raise _Refused("there is no telemetry before the stages are homed")
     return row
 
 
 async def until_accepting(
-    service: StationService, run: RunRequest, meanwhile: Callable[[], None] = lambda: None
+    supervisor: Supervisor, run: RunRequest, meanwhile: Callable[[], None] = lambda: None
 ) -> bool:
-    """Wait until a streamed run accepts setpoints; return False if the run has ended before."""
-    supervisor = service.supervisor
-    while int(supervisor.ring.counters[RUN]) != run.number or int(supervisor.ring.counters[PHASE]) != Phase.MOVING:
+    """Wait until a streamed run accepts setpoints; return False if the run, or its control process, has ended before.
+
+    `meanwhile` is called at each check and may end the wait by an exception.
+    """
+    ring = supervisor.ring
+    while not run.end.done():
         # Right after the start, the control loop may not yet report the run.
-        if _has_ended(service, run) and supervisor.status().state is not State.RUNNING:
-            return False
+        if int(ring.counters[RUN]) == run.number and int(ring.counters[PHASE]) == Phase.MOVING:
+            return True
         meanwhile()
         await asyncio.sleep(RUN_POLL_INTERVAL_S)
-    return True
+    return False
 
 
-def _has_ended(service: StationService, run: RunRequest) -> bool:
-    """Return whether a run is not running: the run has ended, or the control loop has not reported the run yet."""
-    counters = service.supervisor.ring.counters
-    return int(counters[RUN]) != run.number or int(counters[STATE]) != State.RUNNING
-
-
-async def until_over(service: StationService, run: RunRequest) -> None:
-    """Wait until a streamed run has ended."""
-    while not _has_ended(service, run):
+async def until_over(run: RunRequest) -> None:
+    """Wait until a streamed run, or its control process, has ended."""
+    while not run.end.done():
         await asyncio.sleep(RUN_POLL_INTERVAL_S)
 
 

@@ -10,13 +10,14 @@ from station.client import FORMAT
 from station.config.loads import Load, NoLoad
 from station.config.strict import Vector
 from station.control.loop import Phase
+from station.control.monitors import TAKE_OFF
 from station.control.realtime import RELIEF, load
 from station.control.states import LATCHED, State
 from station.devices.interfaces import Condition, Severity
 from station.experiments.case_summary import describe_keys
 from station.service.contact import SideLoad
-from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
+from station.service.supervisor import Supervisor
 from web.access.identity import Role, Sender
 from web.api.commands import Commands, operator_out
 from web.api.schemas import Action, ContactOut, DeviceOut, LoopOut, RunOut, StatusOut
@@ -39,7 +40,10 @@ _PHASES = {
 }
 _IDLE_MESSAGES = {
     "OFF": StateMessage("devices are not connected", "connect the devices", "connect"),
-    "CONNECTING": StateMessage("finding and setting up the devices", "wait, or press STOP"),
+    "CONNECTING": StateMessage(
+        "finding and setting up the devices; the first start also compiles the model for a minute or more",
+        "wait, or press STOP",
+    ),
     "CONNECTED": StateMessage("devices are connected, positions are unknown", "home the stages", "home"),
     "HOMING": StateMessage("the stages search for their home sensors", "wait, or press STOP"),
     "HOMED": StateMessage("positions are known, the controller is starting", "wait"),
@@ -48,13 +52,14 @@ _IDLE_MESSAGES = {
 
 
 class Reader(NamedTuple):
-    """Who reads a message, and about which rig."""
+    """Properties of the client that reads a message, and of the rig that the message describes."""
 
     resets: bool = True  #: whether this client may reset the station
     operator: str | None = None  #: name of the operator; None: there is none
     views_only: bool = False  #: whether this client can only view the station and send STOP
     own_stop: str = ""  #: cause that the station reports for this client's own STOP; empty if it sent none
     simulated: bool = False  #: whether the devices are those of the virtual lab, where there is no rig to check
+    removed_load: bool = False  #: whether the lab has removed its load, as it does at the end of every motion
 
 
 #: What the robot does in a latched state. After a FAULT the cause itself reports what is known about the axes.
@@ -84,14 +89,14 @@ def state_message(status: StationStatus, reader: Reader | None = None) -> StateM
     if state in LATCHED:
         return _latched(status, reader)
     if state is State.READY and status.reserved:
-        return StateMessage(status.reserved, "open the tab Calibrate", "calibrate")
+        return StateMessage(status.reserved, "follow it in the tab Calibrate", "calibrate")
     if state is State.HOMING:
         return _IDLE_MESSAGES[state.name]._replace(message=_homing(status) or _IDLE_MESSAGES[state.name].message)
     return _IDLE_MESSAGES[state.name]
 
 
 def is_silent(status: StationStatus) -> bool:
-    """Return whether telemetry is missing that the station should have; a FAULT reports its own cause."""
+    """Return whether expected telemetry is missing. OFF has none, and a FAULT reports its own cause."""
     return status.age > STALE_AFTER_S and status.state not in (State.OFF, State.FAULT)
 
 
@@ -100,6 +105,10 @@ def _latched(status: StationStatus, reader: Reader) -> StateMessage:
     cause = status.cause or "unknown cause"
     if reader.own_stop:
         cause = cause.replace(reader.own_stop, "you pressed STOP")
+    if reader.removed_load:
+        cause = cause.replace(
+            TAKE_OFF, "the lab has taken the load off, so the tip has sprung back; if the force stays, "
+        )
     text = f"{cause[0].upper()}{cause[1:]}"
     if status.state in _CONSEQUENCES:
         text = f"{text}. {_CONSEQUENCES[status.state]}"
@@ -127,8 +136,15 @@ def _homing(status: StationStatus) -> str:
     )
 
 
+#: Vectors of the status, which are null while they are stale.
+VECTORS = (
+    "tip_measured", "tip_estimated", "tip_desired", "tip_true", "direction_measured", "direction_observed",
+    "direction_desired", "direction_true", "force",
+)  # fmt: skip
+
+
 def status_out(
-    service: StationService,
+    supervisor: Supervisor,
     of: Commands,
     who: Sender,
     side_load: SideLoad | None,
@@ -138,14 +154,13 @@ def status_out(
     """Return the station's status.
 
     Args:
-        service: operations of the station.
+        supervisor: the station.
         of: dependencies that check the operator's lease.
         who: client that requests the status.
         side_load: load that acts on the shaft instead of the tip; None: there is no such load.
         gateway_problem: why the gateway has ended, empty while the gateway runs; None: the station has no gateway.
         own_stop: cause that the station reports for the newest STOP, if this client sent it; otherwise empty.
     """
-    supervisor = service.supervisor
     status = supervisor.status()
     stale = status.age > STALE_AFTER_S
 
@@ -154,7 +169,7 @@ def status_out(
         return tuple(status.values[group].tolist()) if known else None
 
     warnings = (*status.warnings, *(() if side_load is None else (side_load.warning,)))
-    names, text = supervisor.robot.joint_names, state_message(status, _reader(service, of, who, own_stop))
+    names, text = supervisor.robot.joint_names, state_message(status, _reader(supervisor, of, who, own_stop))
     run = None
     if status.run is not None:
         run = RunOut(
@@ -162,6 +177,7 @@ def status_out(
             duration=status.run.start.task.duration, load=_load(status.run.start.load),
             desired_force=_desired_force(status.run.start.task.press),
             recorded=status.run.start.recorded, recording=status.recording,
+            stiffness=None if (found := supervisor.runs.stiffness) is None else tuple(map(tuple, found)),
         )  # fmt: skip
     return StatusOut(
         format=FORMAT,
@@ -184,28 +200,21 @@ def status_out(
         devices=_devices(status) | _gateway(gateway_problem) | _cameras(supervisor.cameras),
         loop=LoopOut(**status.timing._asdict()),
         joints=dict(zip(names, status.values["joints"].tolist(), strict=True)) if status.values else {},
-        tip_measured=vector("tip_measured"),
-        tip_estimated=vector("tip_estimated"),
-        tip_desired=vector("tip_desired"),
-        tip_true=vector("tip_true"),
-        direction_measured=vector("direction_measured"),
-        direction_observed=vector("direction_observed"),
-        direction_desired=vector("direction_desired"),
-        direction_true=vector("direction_true"),
-        force=vector("force"),
+        **{name: vector(name) for name in VECTORS},
         contact=None if side_load is None else contact_out(side_load),
     )
 
 
-def _reader(service: StationService, of: Commands, who: Sender, own_stop: str) -> Reader:
-    """Return who reads the status."""
+def _reader(supervisor: Supervisor, of: Commands, who: Sender, own_stop: str) -> Reader:
+    """Return the properties of the client `who`, which determine its messages."""
     holder, may = of.lease.holder(), who.role is Role.OPERATOR
     return Reader(
         resets=may and (holder is None or holder.client == who.client),
         operator=None if holder is None else holder.name,
         views_only=not may,
         own_stop=own_stop,
-        simulated=service.supervisor.simulated,
+        simulated=supervisor.simulated,
+        removed_load=supervisor.lab.removed_load,
     )
 
 
@@ -220,7 +229,7 @@ def contact_out(side_load: SideLoad) -> ContactOut:
 
 
 def _load(load: Load | None) -> str:
-    """Return a text of the load of a run; empty without one."""
+    """Return the description of a run's load; empty without a load."""
     return "" if load is None or isinstance(load, NoLoad) else describe_keys(load)
 
 

@@ -14,7 +14,7 @@ import secrets
 import socket
 import struct
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from http import HTTPStatus
 from time import time_ns
 from typing import Any
@@ -114,11 +114,13 @@ def string_list(values: Any) -> list[str]:
 #: Origins that may connect in addition to the station's page: Foxglove's page, and desktop programs. A client with one
 #: of these origins also needs a token if the station requires tokens.
 ALLOWED_ORIGINS = frozenset({"https://app.foxglove.dev", "file://"})
+#: What to do to allow a refused origin.
+ORIGIN_HINT = "; if you trust these pages, add this origin to the key gateway_origins of the station file"
 #: Largest number of messages queued for one client: the messages of all channels in a third of a second.
 _MAX_PENDING_MESSAGES = 256
 #: Socket send buffer of a client [bytes].
 _SEND_BUFFER_BYTES = 128 * 1024
-#: One of this number of snapshots is drawn, that is 25 drawings a second.
+#: Number of snapshots of which one is drawn, which makes 25 drawings a second.
 _DRAW_EVERY = 2
 #: Longest message from a client [bytes].
 _MAX_MESSAGE_BYTES = 64 * 1024
@@ -135,8 +137,23 @@ _LOGGER.addFilter(lambda record: record.getMessage() != "opening handshake faile
 class FoxgloveServer:
     """Foxglove server; it runs in the event loop that opens it."""
 
-    def __init__(self, robot: Robot, channels: Channels, tokens: Tokens | None) -> None:
-        """`tokens`: access tokens, one of which every client needs; None: no token is required."""
+    def __init__(
+        self,
+        robot: Robot,
+        channels: Channels,
+        tokens: Tokens | None,
+        origins: Iterable[str],
+        log: Callable[[str], None],
+    ) -> None:
+        """Prepare the server; `open` starts it.
+
+        Args:
+            robot, channels: the robot and its telemetry.
+            tokens: access tokens, one of which every client needs; None: no token is required.
+            origins: origins of web pages that may connect, in addition to `ALLOWED_ORIGINS`.
+            log: takes the reason of a refusal, because a browser does not show it.
+        """
+        self._origins, self._log = ALLOWED_ORIGINS.union(origins), log
         self._drawing = Drawing(robot, channels.all, FIRST_DRAWING_CHANNEL)
         self._topics = (
             Topic(ROWS_TOPIC, "ros1", SCHEMA, "ros1msg", RowFormat(channels.all).definition),
@@ -160,15 +177,17 @@ class FoxgloveServer:
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         listening = socket.create_server((address.host, address.port), family=family)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # inherited by every connection
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # inherited; otherwise TCP joins the messages
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # inherited; no delay to join messages
         port = int(listening.getsockname()[1])
         # `Access` only checks the connections here; it passes none on to an application.
-        access = Access(_no_endpoint, address.host, port, self._tokens, ALLOWED_ORIGINS)
+        access = Access(_no_endpoint, address.host, port, self._tokens, self._origins, ORIGIN_HINT)
 
         def check(connection: ServerConnection, request: Request) -> Response | None:
             refusal = access.refused(_scope_of(request))
             if refusal is None and len(self._clients) >= _MAX_SUBSCRIPTIONS:
-                refusal = HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected"
+                refusal = HTTPStatus.SERVICE_UNAVAILABLE, "too many clients are connected; disconnect one"
+            if refusal is not None:
+                self._log(f"Foxglove: a client is refused: {refusal[0]} {refusal[1]}")
             return None if refusal is None else connection.respond(HTTPStatus(refusal[0]), f"{refusal[1]}\n")
 
         self._server = await serve(
@@ -272,7 +291,7 @@ class FoxgloveServer:
 
     def _subscribe(self, client: "_FoxgloveClient", numbers: list[int]) -> None:
         if len(numbers) != 2 or not 1 <= numbers[1] <= len(self._topics):
-            client.queue(status("there is no channel with this id"))
+            client.queue(status("there is no channel with this id; subscribe to an id of the message 'advertise'"))
             return
         if len(client.subscriptions) >= _MAX_SUBSCRIPTIONS or numbers[0] in client.subscriptions:
             client.queue(status("the subscription id is in use, or there are too many subscriptions"))

@@ -1,35 +1,47 @@
 """The station's side of the gateway: starts its process, sends it the state, and follows its targets in a run.
 
-An operator starts a run whose tip follows OpenIGTLink targets, and must stay operator. A target is discarded if there
-is no such run, if the operator's lease has expired, or if another client is operator. Without targets the tip comes to
-rest and the run ends.
+An operator starts a run whose tip follows targets of OpenIGTLink or ROS 2, and must stay operator. A target is refused
+if there is no such run, if the operator's lease has expired, or if another client is operator. Without targets the tip
+comes to rest and the run ends.
 """
 
 import asyncio
 import contextlib
-import select
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Request
 
-from station.control.child_process import ChildProcess
-from station.control.states import State
+from core.control.setpoint_request import SetpointRequest
+from station.control.child_process import ChildProcess, takes_message
+from station.control.states import RefusedError, State
 from station.service.audit import Audit
+from station.service.commands import StreamAgreement
 from station.service.permits import Permit
 from station.service.runs import RunRequest
-from station.service.setpoint_stream import SetpointRefused, SetpointStream, StreamAgreement
-from station.service.station_service import StationService
+from station.service.setpoint_stream import SetpointRefused, SetpointStream
+from station.service.supervisor import Supervisor
 from web.access.gate import is_loopback
-from web.access.identity import Sender, Tokens, new_tokens
+from web.access.identity import Sender, Tokens, new_tokens, sender_of
 from web.access.lease import Lease
 from web.api.commands import Commands, Permitted
 from web.api.control import run_out
-from web.api.schemas import REFUSED_RESPONSES, StartOut
+from web.api.schemas import StartOut
 from web.api.setpoints import until_accepting, until_over
 from web.gateway.options import GatewayError, GatewayOptions
-from web.gateway.process import GatewayProblem, GatewayReady, GatewaySetup, TargetMessage, run_gateway
+from web.gateway.process import (
+    CrtkMessage,
+    GatewayNote,
+    GatewayProblem,
+    GatewayReady,
+    GatewaySetup,
+    TargetMessage,
+    run_gateway,
+)
 from web.gateway.snapshot import StationInfo
+
+if TYPE_CHECKING:
+    from web.gateway.crtk_commands import CrtkCommands
 
 #: Time limits for the gateway process to start and to end [s].
 START_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 5.0
@@ -38,16 +50,15 @@ POLL_INTERVAL_S = 0.1
 
 
 class Gateway:
-    """Handle of a station's gateway process."""
+    """Gateway process of a station: this class starts the process, exchanges messages with it and ends it."""
 
-    def __init__(self, service: StationService, options: GatewayOptions, tokens: Tokens | None, audit: Audit) -> None:
+    def __init__(self, supervisor: Supervisor, options: GatewayOptions, tokens: Tokens | None, audit: Audit) -> None:
         """Start the gateway process; protocols that support access tokens require the station's `tokens`.
 
         Raises:
             GatewayError: the package of a requested protocol is not installed.
         """
         options.check()
-        supervisor = service.supervisor
         if options.foxglove is None or is_loopback(options.foxglove.host):
             tokens = None
         elif tokens is None:
@@ -55,10 +66,8 @@ class Gateway:
         bench = supervisor.bench
         setup = GatewaySetup(options, bench.robot, bench.clock, bench.core, tokens)
         self.options = options
-        self._service, self._audit = service, audit
+        self._supervisor, self._audit = supervisor, audit
         self._child = ChildProcess(run_gateway, setup, supervisor.ring.name, name="gateway")
-        self._writable = select.poll()
-        self._writable.register(self._child.pipe.fileno(), select.POLLOUT)
         self._sent: StationInfo | None = None
         self.problem = ""  #: why the gateway has ended; empty while it runs
 
@@ -68,7 +77,7 @@ class Gateway:
         Raises:
             GatewayError: the gateway cannot serve a protocol, so its process was ended.
         """
-        pipe, problem = self._child.pipe, f"the gateway did not start within {START_TIMEOUT_S:g} s"
+        pipe, problem = self._child.pipe, f"the gateway did not start within {START_TIMEOUT_S:g} s; try again"
         with contextlib.suppress(EOFError, OSError):
             if pipe.poll(START_TIMEOUT_S):
                 match pipe.recv():
@@ -81,8 +90,8 @@ class Gateway:
         self.close()
         raise GatewayError(problem)
 
-    async def run(self, on_target: Callable[[TargetMessage], None]) -> None:
-        """Send the station's state to the gateway and pass received targets to `on_target` until the gateway ends."""
+    async def run(self, on_target: Callable[[TargetMessage], None], commands: "CrtkCommands") -> None:
+        """Send the station's state to the gateway and pass on its targets and commands until the gateway ends."""
         loop, gone, pipe = asyncio.get_running_loop(), asyncio.Event(), self._child.pipe
 
         def receive() -> None:
@@ -91,17 +100,25 @@ class Gateway:
                 while pipe.poll():
                     message = pipe.recv()
                     newest = message if isinstance(message, TargetMessage) else newest
+                    if isinstance(message, CrtkMessage):
+                        commands.receive(message)
+                    if isinstance(message, GatewayNote):
+                        self._audit.refused("gateway", "client", "", message.text)
             except (EOFError, OSError):
                 gone.set()
+                commands.changed.set()
             if newest is not None:
                 on_target(newest)
 
         loop.add_reader(pipe.fileno(), receive)
         try:
             while not gone.is_set():
-                self._send_info()
+                self._send_info(commands.busy, commands.moves)
+                while commands.texts and takes_message(self._child.pipe):
+                    self._child.send(commands.texts.popleft())
+                commands.changed.clear()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(gone.wait(), POLL_INTERVAL_S)
+                    await asyncio.wait_for(commands.changed.wait(), POLL_INTERVAL_S)
             how = await asyncio.to_thread(self._child.ended, 1.0)
             self.problem = f"the gateway ended {how}: its clients receive no more data; restart the station"
             self._audit.write("station", "gateway", "", self.problem)
@@ -112,15 +129,16 @@ class Gateway:
         """End the gateway process."""
         self._child.close(EXIT_TIMEOUT_S)
 
-    def _send_info(self) -> None:
+    def _send_info(self, busy: bool, moves: int) -> None:
         """Send the station's state if it has changed; never waits for a gateway that does not read."""
-        status = self._service.supervisor.status()
+        status = self._supervisor.status()
         about = {} if status.run is None else status.run.start.about.get("settings", {})
         controller = about.get("controller") if status.state is State.RUNNING else None
         info = StationInfo(
-            status.state, status.cause, gains_of(controller or self._service.settings.controller.model_dump())
-        )
-        if info != self._sent and self._writable.poll(0):
+            status.state, status.cause, gains_of(controller or self._supervisor.settings.controller.model_dump()),
+            busy, moves,
+        )  # fmt: skip
+        if info != self._sent and takes_message(self._child.pipe):
             self._sent = info
             self._child.send(info)
 
@@ -136,7 +154,7 @@ def gains_of(controller: dict[str, object], before: str = "controller") -> tuple
     return tuple(found)
 
 
-class _TargetStream(NamedTuple):
+class TargetStream(NamedTuple):
     """The run that follows targets now."""
 
     run: RunRequest
@@ -148,21 +166,48 @@ class _TargetStream(NamedTuple):
 class TargetStreams:
     """Starts runs that follow targets, one at a time; all methods run in the event loop of the web server."""
 
-    def __init__(self, service: StationService, lease: Lease, audit: Audit) -> None:
-        self._service, self._lease, self._audit = service, lease, audit
-        self._current: _TargetStream | None = None
+    def __init__(self, supervisor: Supervisor, lease: Lease, audit: Audit) -> None:
+        self._supervisor, self._lease, self._audit = supervisor, lease, audit
+        self._current: TargetStream | None = None
+        self._source = ""  # the first sender of a target in this run
         self._tasks: set[asyncio.Task[None]] = set()
 
     def receive(self, target: TargetMessage) -> None:
-        """Pass a received target on to the current run."""
+        """Pass a received target of OpenIGTLink on to the current run."""
+        with contextlib.suppress(RefusedError, SetpointRefused):  # OpenIGTLink has no answer to a target
+            stream = self.current("OpenIGTLink", target.received).stream
+            position: tuple[float, ...] = tuple(target.position.tolist())
+            self.send(stream.position(position, target.received, target.sent))
+
+    def current(self, source: str, received: float) -> TargetStream:
+        """Return the run that accepts a target of `source`, received at this time [s].
+
+        Two programs must not move one tip: the first that sends a target controls it until `release`.
+
+        Raises:
+            RefusedError: no run accepts this target; the text has the reason and what to do.
+        """
         current = self._current
-        if current is None or target.received < current.since or not self._lease.holds(current.client):
-            return
-        position: tuple[float, ...] = tuple(target.position.tolist())
-        try:
-            self._service.send_setpoint(current.run, current.stream.position(position, target.received, target.sent))
-        except SetpointRefused:
-            return  # the refusal is not reported, because OpenIGTLink has no answer to a target
+        if current is None or received < current.since:
+            raise RefusedError(
+                "no run for external targets is active; an operator starts one on the page (Run, external target) or"
+                " with POST /api/gateway/target"
+            )
+        if not self._lease.holds(current.client):
+            raise RefusedError("the client that started the run for external targets is not operator any longer")
+        if self._source not in ("", source):
+            raise RefusedError("another program sends the targets of this run; end that program")
+        self._source = source
+        return current
+
+    def send(self, setpoint: SetpointRequest) -> None:
+        """Send a setpoint to the current run."""
+        if self._current is not None:
+            self._supervisor.send_setpoint(self._current.run, setpoint)
+
+    def release(self, source: str) -> None:
+        """Let another program send targets if `source` has sent them so far."""
+        self._source = "" if self._source == source else self._source
 
     async def start(self, who: Sender, agreement: StreamAgreement, permit: Permit) -> RunRequest:
         """Start a run whose tip follows targets.
@@ -171,9 +216,9 @@ class TargetStreams:
             RefusedError: the station's state does not allow a run.
             CtrError: the controller of the run is invalid.
         """
-        # OpenIGTLink targets are in the world frame, so the frame of the agreement is overwritten.
+        # Targets are in the world frame, so the frame of the agreement is overwritten.
         agreement = agreement.model_copy(update={"frame": "world"})
-        run = await asyncio.to_thread(self._service.start_stream, agreement, permit=permit)
+        run = (await asyncio.to_thread(self._supervisor.send, agreement, permit)).started
         self._audit.write(str(who), f"targets of run {run.id}", who.where, "started")
         task = asyncio.create_task(self._follow(run, who, agreement))
         self._tasks.add(task)
@@ -181,19 +226,20 @@ class TargetStreams:
         return run
 
     async def _follow(self, run: RunRequest, who: Sender, agreement: StreamAgreement) -> None:
-        supervisor = self._service.supervisor
+        supervisor = self._supervisor
         try:
-            if not await until_accepting(self._service, run):
+            if not await until_accepting(self._supervisor, run):
                 return
             row = supervisor.ring.latest()
             if row is not None:
                 start = supervisor.channels.of(row, "tip_desired").copy()
                 now = supervisor.bench.clock.now()
-                self._current = _TargetStream(run, SetpointStream(agreement, start, now), who.client, now)
-            await until_over(self._service, run)
+                self._source = ""
+                self._current = TargetStream(run, SetpointStream(agreement, start, now), who.client, now)
+            await until_over(run)
         finally:
             self._current = None
-            self._service.send_setpoint(run, None)
+            self._supervisor.send_setpoint(run, None)
             self._audit.write(str(who), f"targets of run {run.id}", who.where, "ended")
 
 
@@ -201,15 +247,9 @@ def gateway_routes(targets: TargetStreams, of: Commands) -> APIRouter:
     """Return the route that starts a run for targets."""
     router = APIRouter(prefix="/api/gateway", tags=["gateway"], dependencies=[Depends(of.renew_lease)])
 
-    @router.post(
-        "/target", status_code=202, responses=REFUSED_RESPONSES, summary="Start a run that follows OpenIGTLink targets"
-    )
-    async def target(
-        agreement: StreamAgreement,
-        permit: Permitted,
-        who: Sender = Depends(of.require_operator),  # noqa: B008 - required by FastAPI
-    ) -> StartOut:
-        """Start a run whose tip follows TRANSFORM messages named `Target`, while the client stays operator."""
-        return run_out(await targets.start(who, agreement, permit))
+    @router.post("/target", status_code=202, summary="Start a run that follows external targets", **of.command)
+    async def target(agreement: StreamAgreement, request: Request, permit: Permitted) -> StartOut:
+        """Start a run whose tip follows targets of OpenIGTLink or ROS 2, while the client stays operator."""
+        return run_out(await targets.start(sender_of(request), agreement, permit))
 
     return router

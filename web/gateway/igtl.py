@@ -9,7 +9,7 @@ import contextlib
 import socket
 import struct
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from pyigtl.messages import CRC64, MessageBase, PolyDataMessage, TransformMessag
 from core.errors import CtrError
 from core.robot.robot import Array, Robot
 from station.control.states import State
-from station.recording.drawing import Pose
+from station.recording.drawing import Pose, rotation_of
 from web.gateway.options import ListenAddress
 from web.gateway.snapshot import SceneState, Snapshot, StationInfo
 
@@ -31,14 +31,21 @@ HEADER_BYTES = MessageBase.IGTL_HEADER_SIZE
 #: Types of OpenIGTLink messages that the server sends; messages of the type `TRACKING` are sent only on request.
 TRACKING = "TDATA"
 MESSAGE_KINDS = ("TRANSFORM", "POLYDATA", "SENSOR", "STATUS", "STRING", TRACKING)
-#: Largest body of a received OpenIGTLink message [bytes].
-MAX_BODY_BYTES = 64 * 1024
+#: Largest body of a received message that the station uses, and of one that it skips, such as an image [bytes].
+MAX_BODY_BYTES, MAX_SKIPPED_BYTES = 64 * 1024, 1 << 30
+#: Bytes of a skipped message that are in memory at a time.
+_SKIP_STEP_BYTES = 64 * 1024
+#: Largest number of types of skipped messages that are counted separately.
+_MAX_COUNTED_TYPES = 32
 #: Name of the TRANSFORM message that may move the robot, if an operator has started a run for targets.
 TARGET_NAME = "Target"
 #: Largest number of characters in the name of an OpenIGTLink message.
 _MAX_NAME_CHARS = 20
 #: Binary layout of a matrix (twelve numbers by columns, position last) and of the extended header of version 2.
 _MATRIX, _EXTENDED = struct.Struct("> 12f"), struct.Struct("> H H I")
+_HEADER = struct.Struct("> H 12s 20s Q Q Q")
+#: Prefixes of the message types of requests.
+_VERBS = ("GET", "STT", "STP")
 #: Unit codes of SENSOR messages: four bits of prefix, then pairs of unit (six bits) and exponent (four bits).
 NEWTON = 0x0B << 54
 NEWTON_METRE = NEWTON | 1 << 50 | 0x01 << 44 | 1 << 40
@@ -68,6 +75,11 @@ class MessageHead(NamedTuple):
     time: float  #: time by the sender's clock [s]; 0: the sender gave none
     version: int
     crc: int
+
+    @property
+    def is_used(self) -> bool:
+        """Whether the station uses the message: a target, or a request."""
+        return (self.kind, self.name) == ("TRANSFORM", TARGET_NAME) or self.kind.partition("_")[0] in _VERBS
 
 
 class MessageBody(MessageBase):
@@ -150,26 +162,27 @@ def tracking_data(sent: Iterable[PackedMessage], when: float) -> PackedMessage:
 
 def reply(kind: str, name: str, *, refused: bool) -> bytes:
     """Return the answer `RTS_<kind>`, which reports whether this message type is available."""
+    # In UTF-8, as pyigtl packs names, other characters could exceed the length of the field.
+    kind, name = (text.encode("ascii", "replace").decode() for text in (kind, name))
     return MessageBody(f"RTS_{kind}"[:12], struct.pack("> B", refused), device_name=name).pack()
 
 
 def parse_head(data: bytes) -> MessageHead:
-    """Parse the header of an OpenIGTLink message.
+    """Parse the header of an OpenIGTLink message; its names may have any bytes.
 
     Raises:
-        BadMessage: the header is invalid, or announces a body of more than `MAX_BODY_BYTES`.
+        BadMessage: the header is invalid, or announces a body that is too long.
     """
-    try:
-        fields = MessageBase.parse_header(data)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise BadMessage(f"not an OpenIGTLink header: {error}") from None
-    (crc,) = struct.unpack("> Q", data[HEADER_BYTES - 8 :])
-    if fields["header_version"] not in (1, 2) or fields["body_size"] > MAX_BODY_BYTES:
-        raise BadMessage(
-            f"version {fields['header_version']} with {fields['body_size']} bytes; at most {MAX_BODY_BYTES}"
-        )
-    kind, name = (str(fields[key]).partition("\0")[0] for key in ("message_type", "device_name"))
-    return MessageHead(kind, name, fields["body_size"], fields["timestamp"], fields["header_version"], crc)
+    if len(data) != HEADER_BYTES:
+        raise BadMessage(f"a header of {len(data)} bytes; expected {HEADER_BYTES}")
+    version, *names, stamp, size, crc = _HEADER.unpack(data)
+    kind, name = (text.decode("latin-1").partition("\0")[0].rstrip() for text in names)
+    head = MessageHead(kind, name, size, stamp / (1 << 32), version, crc)
+    if version not in (1, 2, 3):
+        raise BadMessage(f"header version {version}; expected 1, 2 or 3")
+    if size > (limit := MAX_BODY_BYTES if head.is_used else MAX_SKIPPED_BYTES):
+        raise BadMessage(f"a message {kind!r} announces {size} bytes; at most {limit}")
+    return head
 
 
 def parse_target(head: MessageHead, body: bytes) -> Array | None:
@@ -181,13 +194,13 @@ def parse_target(head: MessageHead, body: bytes) -> Array | None:
     if head.kind != "TRANSFORM" or head.name != TARGET_NAME:
         return None
     if CRC64(body) != head.crc:
-        raise BadMessage("a target with a wrong check sum")
+        raise BadMessage("the check sum of a target is wrong")
     content = body_content(head, body)
     if len(content) != _MATRIX.size:
         raise BadMessage(f"a target of {len(content)} bytes; a matrix has {_MATRIX.size}")
     position = np.array(_MATRIX.unpack(content)[9:])
     if not np.isfinite(position).all():
-        raise BadMessage("a target whose position is not finite")
+        raise BadMessage("the position of a target is not finite")
     world: Array = _RAS_TO_WORLD[:3, :3] @ position
     return world
 
@@ -220,13 +233,9 @@ def _pack(message: MessageBase) -> PackedMessage:
 
 def _matrix(pose: Pose) -> Array:
     """Return a pose in the world frame as a matrix (4, 4) in RAS."""
-    position, (x, y, z, w) = pose
+    position, quaternion = pose
     matrix = np.eye(4)
-    matrix[:3, :3] = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
+    matrix[:3, :3] = rotation_of(quaternion)
     matrix[:3, 3] = position
     return WORLD_TO_RAS @ matrix @ _RAS_TO_WORLD
 
@@ -257,9 +266,12 @@ class _Frame(NamedTuple):
 class IgtlServer:
     """OpenIGTLink server; it runs in the event loop that opens it."""
 
-    def __init__(self, robot: Robot, on_target: Callable[[Array, float | None], None]) -> None:
+    def __init__(
+        self, robot: Robot, on_target: Callable[[Array, float | None], None], log: Callable[[str], None]
+    ) -> None:
         """`on_target` takes a target (3,) [m] in the world frame and its time by the sender's clock [s]."""
-        self._robot, self._on_target = robot, on_target
+        self._robot, self._on_target, self._log = robot, on_target, log
+        self.skipped = Counter[str]()  #: number of skipped messages of each type
         self._clients: set[_IgtlClient] = set()
         self._target_source: _IgtlClient | None = None  # the first client that sent a target, until it disconnects
         self._info: StationInfo | None = None
@@ -310,8 +322,10 @@ class IgtlServer:
         self._clients.add(client)
         sending = asyncio.create_task(client.send())
         try:
-            with contextlib.suppress(BadMessage, OSError, asyncio.IncompleteReadError, asyncio.CancelledError):
+            with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.CancelledError):
                 await self._receive(client, reader)
+        except BadMessage as error:
+            self._log(f"OpenIGTLink: a client is disconnected: {error}")
         finally:
             sending.cancel()
             self._clients.discard(client)
@@ -322,6 +336,9 @@ class IgtlServer:
     async def _receive(self, client: "_IgtlClient", reader: asyncio.StreamReader) -> None:
         while True:
             head = parse_head(await reader.readexactly(HEADER_BYTES))
+            if not head.is_used:
+                await self._skip(head, reader)
+                continue
             body = await reader.readexactly(head.size)
             target = parse_target(head, body)
             if target is None:
@@ -330,6 +347,16 @@ class IgtlServer:
                 # Two clients must not move one tip: the first that sends a target controls it until it disconnects.
                 self._target_source = client
                 self._on_target(target, head.time or None)
+
+    async def _skip(self, head: MessageHead, reader: asyncio.StreamReader) -> None:
+        """Read a message to its end without keeping it; log the 1st, 10th, 100th ... message of each type."""
+        for start in range(0, head.size, _SKIP_STEP_BYTES):
+            await reader.readexactly(min(_SKIP_STEP_BYTES, head.size - start))
+        kind = head.kind if head.kind in self.skipped or len(self.skipped) < _MAX_COUNTED_TYPES else "other types"
+        self.skipped[kind] += 1
+        count = self.skipped[kind]
+        if str(count).rstrip("0") == "1":
+            self._log(f"OpenIGTLink: messages of type {kind!r} are skipped, the station does not use them: {count}")
 
 
 class _IgtlClient:
@@ -357,7 +384,7 @@ class _IgtlClient:
     def handle_request(self, kind: str, name: str, body: bytes) -> None:
         """Handle the client's GET_, STT_ and STP_ messages; ignore all others."""
         verb, _, what = kind.partition("_")
-        if not what or verb not in ("GET", "STT", "STP"):
+        if not what or verb not in _VERBS:
             return
         refused = not any(known.startswith(what) for known in MESSAGE_KINDS)
         if what == TRACKING:

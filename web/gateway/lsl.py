@@ -49,7 +49,7 @@ class LslOutlet:
 
     def publish(self, snapshot: Snapshot) -> None:
         """Send all rows of a snapshot with their times, and a marker if the state has changed."""
-        # Time [s] by which LSL's clock is ahead of the wall clock, by which the rows are stamped.
+        # Time [s] by which LSL's clock is ahead of the wall clock, which provides the stamps of the rows.
         ahead = pylsl.local_clock() - time.time()
         if len(snapshot.rows):
             times = 1e-9 * snapshot.stamps.astype(np.float64) + ahead

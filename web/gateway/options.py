@@ -33,6 +33,8 @@ class GatewayOptions:
     foxglove: ListenAddress | None = None
     lsl: bool = False
     ros2: ListenAddress | None = None
+    namespace: str = "CTR"  #: namespace of the robot's topics in ROS 2
+    origins: tuple[str, ...] = ()  #: origins of web pages that may connect to Foxglove, in addition to Foxglove's
 
     def __bool__(self) -> bool:
         """Whether the gateway serves any protocol."""

@@ -7,7 +7,6 @@ change of its state, and None to end the gateway process.
 
 import asyncio
 import os
-import select
 import signal
 from collections.abc import Awaitable, Callable
 from multiprocessing.connection import Connection
@@ -16,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
+from station.control.child_process import takes_message
 from station.control.clock import StationClock
 from station.control.realtime import move_off_core, set_process_name
 from station.control.ring import Ring
@@ -56,6 +56,40 @@ class TargetMessage(NamedTuple):
     received: float  #: time of receipt in the gateway, by the station's clock [s]
 
 
+class CrtkMessage(NamedTuple):
+    """Message from gateway to station: a client of ROS 2 has sent a command, or is present."""
+
+    name: str  #: name of the command in CRTK, or 'present'
+    client: str  #: id of the client's Zenoh session; empty: unknown
+    node: str  #: name of the client's node
+    may_operate: bool  #: whether the client may become operator: only on loopback, because Zenoh has no passwords
+    received: float  #: time of receipt in the gateway, by the station's clock [s]
+    sent: float | None = None  #: time by the sender's clock [s]; None: the sender gave none
+    values: tuple[float, ...] = ()  #: position or velocity of the tip or of the joints, SI units
+    direction: tuple[float, ...] | None = None  #: direction of the tip in the world, unit vector
+    text: str = ""
+
+    @property
+    def ends(self) -> bool:
+        """Whether the command is a motion with an end (`move_*` or `home`), during which the robot is busy."""
+        return self.name.startswith("move_") or self.text == "home"
+
+
+class CrtkText(NamedTuple):
+    """Message from station to gateway: a text for the clients of ROS 2."""
+
+    topic: str  #: 'error' or 'warning'
+    text: str
+
+
+class GatewayNote(NamedTuple):
+    """Message from gateway to station: an event for the log, such as a refused client."""
+
+    text: str
+
+
+#: Largest number of notes of a gateway; clients cause them, and must not fill the log.
+MAX_NOTES = 100
 #: Rate at which the gateway polls the telemetry ring [1/s].
 POLL_RATE_HZ = 50.0
 
@@ -102,9 +136,9 @@ class _Gateway:
         self._reader = SnapshotReader(ring, robot, channels, setup.clock)
         self._info = StationInfo()
         self._target: TargetMessage | None = None  # newest target that was not yet sent to the station process
-        self._writable = select.poll()
-        self._writable.register(pipe.fileno(), select.POLLOUT)
+        self._notes: dict[str, bool] = {}  # text of each note, and whether it was sent; in the order of the events
         self._ended = False
+        self._report: Callable[[CrtkText], None] = lambda _: None  # publishes a text for clients of ROS 2
 
     async def run(self, parent: int) -> None:
         """Serve until the station process (`parent`) ends this process, or until the station process has ended."""
@@ -127,6 +161,7 @@ class _Gateway:
                 for outlet in outlets:
                     outlet.publish(snapshot)
                 self._send_target()
+                self._send_note()
                 # Polls that were missed while the computer was suspended are not repeated.
                 due = max(due + 1.0 / POLL_RATE_HZ, loop.time())
                 await asyncio.sleep(due - loop.time())
@@ -141,7 +176,7 @@ class _Gateway:
         if options.igtl is not None:
             from web.gateway.igtl import IgtlServer
 
-            igtl = IgtlServer(self._robot, self._take_target)
+            igtl = IgtlServer(self._robot, self._take_target, self._note)
             outlets.append(igtl)
             address = await _listen("igtl", igtl.open, options.igtl)
             lines.append(f"OpenIGTLink is at {address}{_open_to(address)}")
@@ -149,7 +184,7 @@ class _Gateway:
             from web.gateway.foxglove import FoxgloveServer
 
             tokens = self._setup.tokens
-            foxglove = FoxgloveServer(self._robot, self._channels, tokens)
+            foxglove = FoxgloveServer(self._robot, self._channels, tokens, options.origins, self._note)
             outlets.append(foxglove)
             address = await _listen("foxglove", foxglove.open, options.foxglove)
             lines.append(f"Foxglove is at ws://{address}/{f'?token={tokens.viewer}' if tokens else ''}")
@@ -159,11 +194,13 @@ class _Gateway:
             outlets.append(LslOutlet(self._robot, self._channels, self._setup.clock))
             lines.append("Lab Streaming Layer has the streams 'ctr-station' and 'ctr-station events'")
         if options.ros2 is not None:
-            from web.gateway.ros2 import Ros2Publisher
+            from web.gateway.ros2 import Ros2Outlet
 
-            publisher = Ros2Publisher(self._robot)
-            outlets.append(publisher)
-            lines.append(f"ROS 2 is {publisher.open(options.ros2)}{_open_to(options.ros2)}")
+            now = self._setup.clock.now
+            ros2 = Ros2Outlet(self._setup.robot, self._channels, options.namespace, self._send_command, now, self._note)
+            outlets.append(ros2)
+            lines.append(f"ROS 2 is {ros2.open(options.ros2)}{_open_to(options.ros2)}")
+            self._report = ros2.report
         return lines
 
     def _receive(self) -> None:
@@ -173,7 +210,10 @@ class _Gateway:
                 if info is None:
                     self._end()
                     return
-                self._info = info
+                if isinstance(info, CrtkText):
+                    self._report(info)
+                else:
+                    self._info = info
         except (EOFError, OSError):
             self._end()
 
@@ -182,9 +222,28 @@ class _Gateway:
 
     def _send_target(self) -> None:
         """Send the newest target if the station process can take it now; never waits."""
-        if self._target is not None and self._writable.poll(0):
+        if self._target is not None and takes_message(self._pipe):
             self._pipe.send(self._target)
             self._target = None
+
+    def _send_command(self, command: CrtkMessage) -> bool:
+        """Send a command if the station process can take it now; return whether it was sent."""
+        if takes_message(self._pipe):
+            self._pipe.send(command)
+            return True
+        return False
+
+    def _note(self, text: str) -> None:
+        """Queue a text for the station's log; a repeated text is not queued again."""
+        if len(self._notes) < MAX_NOTES:
+            self._notes.setdefault(text, False)
+
+    def _send_note(self) -> None:
+        """Send the oldest waiting note if the station process can take it now; never waits."""
+        text = next((text for text, sent in self._notes.items() if not sent), None)
+        if text is not None and takes_message(self._pipe):
+            self._pipe.send(GatewayNote(text))
+            self._notes[text] = True
 
     def _end(self) -> None:
         self._ended = True

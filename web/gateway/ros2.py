@@ -1,209 +1,128 @@
-"""ROS 2 publisher over Zenoh, without an installation of ROS 2, with what `rmw_zenoh_cpp` requires.
+"""ROS 2 over Zenoh, without an installation of ROS 2: the topics of `crtk.py`, as `rmw_zenoh_cpp` sends and finds them.
 
-Messages are encoded in CDR, the wire format of ROS 2: little-endian XCDR 1, numbers aligned to their size, counted from
-the end of the four-byte header. The type definitions are those of ROS 2's common_interfaces; ROS 2 (Iron and later)
-identifies a type by its hash.
+A sender is known by the GID in the attachment of its messages. The GID is the hash of the publisher's liveliness token,
+which also names the session and the node. All publishers of one Zenoh session are one client. Only the newest messages
+of each sender and command wait for the gateway. So a flood neither uses memory nor displaces the commands of other
+clients.
 """
 
-import struct
+import asyncio
+import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from itertools import count
 from typing import Any, NamedTuple
 
-import numpy as np
+import xxhash
 import zenoh
-from zenoh.ext import Int64, z_serialize
+from zenoh.ext import AdvancedPublisher, CacheConfig, declare_advanced_publisher
 
-from core.robot.robot import Robot
-from station.recording.drawing import Pose
+from station.config.robots import RobotFile
+from station.control.telemetry import Channels
+from web.access.gate import is_loopback
+from web.gateway.cdr import MAX_MESSAGE_BYTES, BadMessage
+from web.gateway.crtk import INPUTS, OUTPUTS, Input, Sample, message, operating_state
+from web.gateway.crtk_services import Service, services
 from web.gateway.options import GatewayError, ListenAddress
-from web.gateway.snapshot import SceneState, Snapshot
+from web.gateway.process import CrtkMessage, CrtkText
+from web.gateway.ros_types import STATE, STRING, RosType
+from web.gateway.snapshot import Snapshot, StationInfo
 
-#: Names of two frames: the world frame of all poses, and an unrotated frame at the tip for the force that acts there.
-WORLD, LOAD = "world", "tip_load"
-_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+#: ROS_DOMAIN_ID that other nodes must use, and the ROS 2 node name of the gateway.
+ROS_DOMAIN, NODE_NAME = 0, "ctr_station"
+#: Quality of service as `rmw_zenoh_cpp` encodes it: the defaults of ROS 2 with a history of ten messages; then the same
+#: for latched topics, with the durability "transient local" and a history of one message.
+_QOS, _LATCHED_QOS = "::,10:,:,:,,", ":1:,1:,:,:,,"
+#: Shortest interval between two readings of the received commands, against floods [s].
+READ_INTERVAL_S = 0.002
+#: Largest number of waiting messages of one sender and command: the newest only, but more if each message is a step.
+MAX_WAITING, MAX_WAITING_STEPS = 1, 8
+#: Interval at which the gateway reports which clients exist, and repeats the operating state [s].
+PRESENCE_INTERVAL_S = 1.0
+#: Largest number of publishers whose tokens are known; further ones cannot send commands.
+MAX_PUBLISHERS = 500
+#: Largest number of requests of services that wait; further ones are not answered.
+MAX_REQUESTS = 10
+#: Bytes that precede the number, the time and the GID of the sender in the attachment of a message.
+_ATTACHMENT = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid\x10")
+_ATTACHMENT_BYTES = sum(map(len, _ATTACHMENT)) + 8 + 8 + 16
 
 
-class RosType(NamedTuple):
-    """A ROS 2 message type."""
+class Client(NamedTuple):
+    """Zenoh session that publishes a command."""
 
-    name: str  #: name of the type as in `ros2 interface show`
-    hash: str
-    definition: str  #: complete text of the definition, nested types included
+    session: str  #: id of the Zenoh session, by which the client is known
+    node: str  #: name of the ROS 2 node
+
+
+UNKNOWN = Client("", "unknown")  #: a sender without a liveliness token
+
+
+class _Received(NamedTuple):
+    """A message that waits for its check."""
+
+    data: bytes
+    client: Client
+    sent: float | None  #: time by the sender's clock [s]
+
+
+class _Publisher(NamedTuple):
+    """The publisher of one topic; receivers count the messages of each GID separately."""
+
+    zenoh: Any  #: `zenoh.Publisher`, or for latched messages an `AdvancedPublisher`
+    gid: bytes
+    numbers: "count[int]"
 
     @property
-    def wire(self) -> str:
-        """Name of the type as DDS and Zenoh use it."""
-        package, _, name = self.name.split("/")
-        return f"{package}::msg::dds_::{name}_"
+    def matching(self) -> bool:
+        """Whether to publish: a subscriber exists, or the message is latched for later subscribers."""
+        # Typed as Any because the type stubs of `zenoh` wrongly declare `matching_status` as a bool.
+        return isinstance(self.zenoh, AdvancedPublisher) or self.zenoh.matching_status.matching
+
+    def put(self, data: bytes) -> None:
+        """Publish a message with the attachment that `rmw_zenoh_cpp` requires: number, time and sender."""
+        self.zenoh.put(data, attachment=_attachment(next(self.numbers), self.gid))
 
 
-class RosMessage(NamedTuple):
-    """A ROS 2 message that is ready to send."""
+class Ros2Outlet:
+    """Node of ROS 2 that publishes the robot's state and receives commands under CRTK's names."""
 
-    topic: str
-    data: bytes
+    def __init__(
+        self,
+        file: RobotFile,
+        channels: Channels,
+        namespace: str,
+        send: Callable[[CrtkMessage], bool],
+        now: Callable[[], float],
+        log: Callable[[str], None],
+    ) -> None:
+        """Prepare the topics of a robot below `namespace`; `now` returns the station's time [s].
 
-
-_BAR = "=" * 80
-_HEADER = f"""{_BAR}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{_BAR}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_VECTOR = f"""{_BAR}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-"""
-_QUATERNION = f"""{_BAR}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-"""
-JOINT_STATE = RosType(
-    "sensor_msgs/msg/JointState",
-    "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e",
-    f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}",
-)
-POSE = RosType(
-    "geometry_msgs/msg/PoseStamped",
-    "RIHS01_10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8",
-    f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}{_BAR}\nMSG: geometry_msgs/Pose\n"
-    f"geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n{_BAR}\nMSG: geometry_msgs/Point\n"
-    f"float64 x\nfloat64 y\nfloat64 z\n{_QUATERNION}",
-)
-WRENCH = RosType(
-    "geometry_msgs/msg/WrenchStamped",
-    "RIHS01_8dc3deaf06b2ab281f9f9a742a8961c328ca7cec16e3fd6586d3a5c83fa78f77",
-    f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_HEADER}{_BAR}\nMSG: geometry_msgs/Wrench\n"
-    f"geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}",
-)
-TRANSFORMS = RosType(
-    "tf2_msgs/msg/TFMessage",
-    "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
-    f"geometry_msgs/TransformStamped[] transforms\n{_BAR}\nMSG: geometry_msgs/TransformStamped\n"
-    f"std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n{_HEADER}{_BAR}\n"
-    f"MSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
-    f"{_VECTOR}{_QUATERNION}",
-)
-#: Message type of each published topic.
-TOPICS = {
-    "/joint_states": JOINT_STATE,
-    "/tip/measured": POSE,
-    "/tip/estimated": POSE,
-    "/tip/desired": POSE,
-    "/tip/force": WRENCH,
-    "/tf": TRANSFORMS,
-}
-
-
-class _Cdr:
-    """Encoder of one message in CDR, the wire format of ROS 2."""
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-
-    def of(self, kind: str, *values: float) -> "_Cdr":
-        """Append aligned numbers of one `struct` format."""
-        size = struct.calcsize(kind)
-        self._data += bytes(-len(self._data) % size)
-        self._data += struct.pack(f"<{len(values)}{kind}", *values)
-        return self
-
-    def string(self, text: str) -> "_Cdr":
-        """Append the length of a string, then the string."""
-        encoded = text.encode() + b"\0"
-        self.of("I", len(encoded))
-        self._data += encoded
-        return self
-
-    def numbers(self, values: Sequence[float]) -> "_Cdr":
-        """Append a sequence of float64; an empty sequence needs no alignment."""
-        self.of("I", len(values))
-        return self.of("d", *values) if values else self
-
-    def head(self, stamp: int, frame: str) -> "_Cdr":
-        """Append a std_msgs/Header with the time `stamp` [ns] since 1970 and the frame's name."""
-        seconds, nanoseconds = divmod(stamp, 10**9)
-        return self.of("i", seconds).of("I", nanoseconds).string(frame)
-
-    def done(self) -> bytes:
-        """Return the bytes of the complete message."""
-        return _LITTLE_ENDIAN + bytes(self._data)
-
-
-def ros_messages(robot: Robot, scene: SceneState) -> list[RosMessage]:
-    """Return the ROS 2 messages of all values that are known now."""
-    messages = [
-        RosMessage("/joint_states", joint_state(scene.stamp, robot.joint_names, scene.joints, scene.velocities))
-    ]
-    messages += [RosMessage(f"/tip/{name}", pose(scene.stamp, tip)) for name, tip in scene.tips().items()]
-    if scene.pose is None:
-        return messages
-    plate, tip = scene.pose.plate, scene.pose.tip
-    named = [("plate", plate), ("tip", tip), (LOAD, (tip[0], _UPRIGHT))]
-    named += [(f"{tube.name}_base", base) for tube, base in zip(robot.tubes, scene.bases, strict=True)]
-    messages.append(RosMessage("/tf", transforms(scene.stamp, named)))
-    if scene.force is not None and scene.moment is not None:
-        # The measured moment, converted from the plate's origin to the tip; only noise if the load acts at the tip.
-        torque = scene.moment - np.cross(np.subtract(tip[0], plate[0]), scene.force)
-        messages.append(RosMessage("/tip/force", wrench(scene.stamp, scene.force.tolist(), torque.tolist())))
-    return messages
-
-
-def joint_state(stamp: int, names: Sequence[str], positions: Iterable[float], velocities: Iterable[float]) -> bytes:
-    """Return a sensor_msgs/JointState with positions [rad or m] and commanded velocities, without efforts."""
-    cdr = _Cdr().head(stamp, "").of("I", len(names))
-    for name in names:
-        cdr.string(name)
-    return cdr.numbers(list(positions)).numbers(list(velocities)).numbers([]).done()
-
-
-def pose(stamp: int, value: Pose) -> bytes:
-    """Return a geometry_msgs/PoseStamped in the world frame [m]."""
-    position, quaternion = value
-    return _Cdr().head(stamp, WORLD).of("d", *position, *quaternion).done()
-
-
-def wrench(stamp: int, force: Sequence[float], torque: Sequence[float]) -> bytes:
-    """Return a geometry_msgs/WrenchStamped at the tip, along the world's axes [N, N m]."""
-    return _Cdr().head(stamp, LOAD).of("d", *force, *torque).done()
-
-
-def transforms(stamp: int, poses: Sequence[tuple[str, Pose]]) -> bytes:
-    """Return a tf2_msgs/TFMessage with the poses of frames in the world frame [m]."""
-    cdr = _Cdr().of("I", len(poses))
-    for name, (position, quaternion) in poses:
-        cdr.head(stamp, WORLD).string(name).of("d", *position, *quaternion)
-    return cdr.done()
-
-
-#: ROS_DOMAIN_ID that subscribers must use, and the ROS 2 node name of the gateway.
-ROS_DOMAIN, NODE_NAME = 0, "ctr_station"
-#: Quality of service as `rmw_zenoh_cpp` encodes it: the defaults of ROS 2, with a history of ten messages.
-_QOS = "::,10:,:,:,,"
-
-
-class Ros2Publisher:
-    """Publisher of the robot's state for ROS 2; its Zenoh session subscribes to nothing."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        `send` passes a command to the station process and returns False if it cannot take it now. `log` writes a text
+        to the station's log.
+        """
+        self._robot, self._channels, self._namespace = file.robot(), channels, namespace
+        self._send, self._now, self._log = send, now, log
+        self.refused = Counter[str]()  #: number of refused messages of each command
         self._session: zenoh.Session | None = None
-        self._publishers: dict[str, zenoh.Publisher] = {}
-        self._tokens: list[zenoh.LivelinessToken] = []
-        self._gid = b""
-        self._numbers = count(1)
+        self._publishers: dict[str, _Publisher] = {}
+        self._waiting: dict[tuple[str, bytes], deque[_Received]] = {}  # by command and GID of the sender
+        self._lock = threading.Lock()  # for `_waiting`
+        self._arrived, self._loop = asyncio.Event(), asyncio.get_running_loop()
+        self._clients: dict[bytes, Client] = {}  # by the GIDs of their publishers of commands
+        self._declared: list[Any] = []  # tokens, and the subscriber of tokens; they end when they are deleted
+        self._may_operate = False
+        self._info = StationInfo()
+        self._shown: tuple[StationInfo, bool] | None = None
+        self._moves = 0  # number of motions with an end that were sent to the station process
+        self._due = 0.0
+        self._reading: asyncio.Task[None] | None = None
+        self._services = services(file, lambda: operating_state(self._info, self._is_busy(self._info), time.time_ns()))
+        # Zenoh's threads must not wait for an answer, because they also receive `hold`.
+        self._answering, self._free = ThreadPoolExecutor(1), threading.BoundedSemaphore(MAX_REQUESTS)
 
     def open(self, address: ListenAddress) -> str:
         """Listen at the address, or join the Zenoh router that listens there; return the result as text.
@@ -217,44 +136,184 @@ class Ros2Publisher:
             session, joined = _session("connect", address), True
         if session is None:
             raise GatewayError(f"--ros2 {address} is not available: the port is in use, and not by a Zenoh router")
-        self._session, zid = session, str(session.info.zid())
-        self._gid = bytes.fromhex(f"{zid:0>32}")[:16]
-        about = f"@ros2_lv/{ROS_DOMAIN}/{zid}/0"
-        self._tokens = [session.liveliness().declare_token(f"{about}/0/NN/%/%/{NODE_NAME}")]
-        for number, (topic, kind) in enumerate(TOPICS.items(), start=1):
-            what = f"{topic.replace('/', '%')}/{kind.wire}/{kind.hash}/{_QOS}"
-            self._tokens.append(session.liveliness().declare_token(f"{about}/{number}/MP/%/%/{NODE_NAME}/{what}"))
-            self._publishers[topic] = session.declare_publisher(
-                zenoh_key(topic, kind), congestion_control=zenoh.CongestionControl.DROP
+        self._session = session
+        # A router may be open to other computers, and Zenoh has no passwords.
+        self._may_operate = is_loopback(address.host) and not joined
+        about = f"@ros2_lv/{ROS_DOMAIN}/{session.info.zid()}/0"
+        live, numbers = session.liveliness(), count(1)
+        self._declared.append(live.declare_token(f"{about}/0/NN/%/%/{NODE_NAME}"))
+
+        def declare(role: str, name: str, kind: RosType, latched: bool) -> tuple[str, str]:
+            topic = name if name.startswith("/") else f"/{self._namespace}/{name}"
+            what = f"{topic.replace('/', '%')}/{kind.wire}/{kind.hash}/{_LATCHED_QOS if latched else _QOS}"
+            token = f"{about}/{next(numbers)}/{role}/%/%/{NODE_NAME}/{what}"
+            self._declared.append(live.declare_token(token))
+            return token, zenoh_key(topic, kind)
+
+        for name, output in OUTPUTS.items():
+            token, key = declare("MP", name, output.kind, output.latched)
+            drop = zenoh.CongestionControl.DROP
+            publisher: Any = (
+                declare_advanced_publisher(
+                    session, key, congestion_control=drop, cache=CacheConfig(1), publisher_detection=True
+                )
+                if output.latched
+                else session.declare_publisher(key, congestion_control=drop)
             )
+            self._publishers[name] = _Publisher(publisher, gid_of(token), count(1))
+        self._declared.append(
+            live.declare_subscriber(f"@ros2_lv/{ROS_DOMAIN}/*/*/*/MP/**", self._take_token, history=True)
+        )
+        for name, each in INPUTS.items():
+            # Latched commands of earlier times are not requested: an old "home" must not move the robot.
+            _, key = declare("MS", name, each.kind, each.latched)
+            self._declared.append(session.declare_subscriber(key, partial(self._receive, name)))
+        for name, service in self._services.items():
+            _, key = declare("SS", name, service.kind.kind, latched=False)
+            self._declared.append(session.declare_queryable(key, partial(self._request, key, service), complete=True))
+        self._reading = asyncio.create_task(self._read())
         return f"with the Zenoh router at {address}" if joined else f"at tcp/{address} (Zenoh)"
 
     @property
     def needs_scene(self) -> bool:
         """Whether the robot's shape is needed, because a ROS 2 subscriber exists."""
-        # Typed as Any because the type stubs of `zenoh` wrongly declare `matching_status` as a bool.
-        found: list[Any] = [publisher.matching_status for publisher in self._publishers.values()]
-        return any(status.matching for status in found)
+        return any(self._publishers[name].matching for name, output in OUTPUTS.items() if output.value)
 
     def publish(self, snapshot: Snapshot) -> None:
         """Publish a snapshot of the robot; slow subscribers miss messages."""
+        self._publish_state(snapshot.info)
         if snapshot.scene is None:
             return
-        for message in ros_messages(self._robot, snapshot.scene):
-            self._publishers[message.topic].put(message.data, attachment=self._attachment())
+        sample = Sample(self._robot, self._channels, snapshot.scene)
+        for name, output in OUTPUTS.items():
+            if output.value and self._publishers[name].matching:
+                self._publishers[name].put(message(output, sample))
+
+    def report(self, text: CrtkText) -> None:
+        """Publish a text of the station process on its topic."""
+        self._publishers[text.topic].put(STRING.encode(text.text))
 
     async def close(self) -> None:
         """End the Zenoh session."""
+        if self._reading is not None:
+            self._reading.cancel()
+        self._answering.shutdown(cancel_futures=True)
         if self._session is not None:
             self._session.close()
 
-    def _attachment(self) -> zenoh.ZBytes:
-        """Return the attachment that `rmw_zenoh_cpp` requires: number, time and sender of a message."""
-        parts = (
-            "sequence_number", Int64(next(self._numbers)), "source_timestamp", Int64(time.time_ns()),
-            "source_gid", self._gid,
-        )  # fmt: skip
-        return zenoh.ZBytes(b"".join(z_serialize(part).to_bytes() for part in parts))
+    def _publish_state(self, info: StationInfo) -> None:
+        """Publish the operating state at each change and once a second."""
+        busy = self._is_busy(info)
+        now = time.monotonic()
+        if self._shown != (info, busy) or now >= self._due:
+            self._due = now + PRESENCE_INTERVAL_S
+            self._publishers["operating_state"].put(STATE.encode(*operating_state(info, busy, time.time_ns())))
+            for client in set(self._clients.copy().values()):
+                self._send(CrtkMessage("present", *client, self._may_operate, self._now()))
+        if info.state is not self._info.state or info.cause != self._info.cause:
+            self.report(CrtkText("status", info.text))
+            if info.cause:
+                self.report(CrtkText("error", info.text))
+        self._shown, self._info = (info, busy), info
+
+    def _is_busy(self, info: StationInfo) -> bool:
+        # The robot is busy as soon as a motion arrives here, so that a client that waits for the end sees the start.
+        return info.busy or self._moves > info.moves
+
+    def _request(self, key: str, service: Service, query: zenoh.Query) -> None:
+        """Answer the request of a service later; Zenoh calls this in a thread of the sender's connection."""
+        if self._free.acquire(blocking=False):
+            self._answering.submit(self._answer, key, service, query)
+
+    def _answer(self, key: str, service: Service, query: zenoh.Query) -> None:
+        try:
+            payload, attachment = query.payload, query.attachment
+            request = service.kind.request.decode(b"" if payload is None else payload.to_bytes())
+            response = service.kind.response.encode(*service.answer(request))
+            number, _, gid = attached(b"" if attachment is None else attachment.to_bytes())
+            query.reply(key, response, attachment=_attachment(number, gid))
+        except BadMessage as error:
+            query.reply_err(str(error))
+        finally:
+            query.drop()
+            self._free.release()
+
+    def _receive(self, name: str, sample: zenoh.Sample) -> None:
+        """Keep a received message until its check; Zenoh calls this in a thread of the sender's connection."""
+        _, sent, gid = attached(b"" if sample.attachment is None else sample.attachment.to_bytes())
+        client = self._clients.get(gid)
+        # A longer message is refused when it is decoded.
+        data = sample.payload.to_bytes() if len(sample.payload) <= MAX_MESSAGE_BYTES else bytes(MAX_MESSAGE_BYTES + 1)
+        with self._lock:
+            if not self._waiting:
+                self._loop.call_soon_threadsafe(self._arrived.set)
+            most = MAX_WAITING_STEPS if name.endswith("r") or name == "state_command" else MAX_WAITING
+            waiting = self._waiting.setdefault((name, gid if client else b""), deque(maxlen=most))
+            waiting.append(_Received(data, client or UNKNOWN, sent))
+
+    async def _read(self) -> None:
+        while True:
+            await self._arrived.wait()
+            self._arrived.clear()
+            with self._lock:
+                arrived, self._waiting = self._waiting, {}
+            for (name, _), waiting in sorted(arrived.items(), key=lambda item: item[0][0] != "hold"):
+                for received in waiting:
+                    self._take(name, INPUTS[name], received)
+            await asyncio.sleep(READ_INTERVAL_S)
+
+    def _take(self, name: str, each: Input, received: _Received) -> None:
+        """Check a received command and send it to the station process; refuse it with the reason."""
+        client = received.client
+        try:
+            content = each.parse(self._robot, each.kind.decode(received.data))
+        except BadMessage as error:
+            self.refused[name] += 1
+            if str(self.refused[name]).rstrip("0") == "1":  # the 1st, 10th, 100th ...
+                text = f"{name} of '{client.node}' is refused ({self.refused[name]} so far): {error}"
+                self._log(f"ROS 2: {text}")
+                self.report(CrtkText("error", text))
+            return
+        command = CrtkMessage(name, *client, self._may_operate, self._now(), received.sent, *content)
+        if self._send(command) and command.ends:
+            self._moves += 1
+            self._publish_state(self._info)
+
+    def _take_token(self, sample: zenoh.Sample) -> None:
+        """Add or remove the client of a publisher of commands; Zenoh calls this in its own thread."""
+        token = str(sample.key_expr)
+        parts = token.split("/")
+        if len(parts) != 13 or not parts[9].startswith(f"%{self._namespace}%"):
+            return
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._clients.pop(gid_of(token), None)
+        elif parts[9].removeprefix(f"%{self._namespace}%") in INPUTS and len(self._clients) < MAX_PUBLISHERS:
+            self._clients[gid_of(token)] = Client(parts[2], parts[8][:40])
+
+
+def attached(data: bytes) -> tuple[int, float | None, bytes]:
+    """Return number, time by the sender's clock [s] and GID of an attachment; 0, None and no bytes if it has none."""
+    first, second, third = _ATTACHMENT
+    if len(data) != _ATTACHMENT_BYTES or not data.startswith(first):
+        return 0, None, b""
+    rest = data[len(first) + 8 :]
+    if not rest.startswith(second) or not rest[len(second) + 8 :].startswith(third):
+        return 0, None, b""
+    number, sent = (
+        int.from_bytes(part[:8], "little", signed=True) for part in (data[len(first) :], rest[len(second) :])
+    )
+    return number, 1e-9 * sent, data[-16:]
+
+
+def _attachment(number: int, gid: bytes) -> bytes:
+    """Return the attachment that `rmw_zenoh_cpp` requires: number, present time and GID of the sender."""
+    numbers = (each.to_bytes(8, "little", signed=True) for each in (number, time.time_ns()))
+    return b"".join(name + value for name, value in zip(_ATTACHMENT, (*numbers, gid), strict=True))
+
+
+def gid_of(token: str) -> bytes:
+    """Return the GID of the publisher with a liveliness token, as `rmw_zenoh_cpp` computes it: XXH3 with 128 bits."""
+    return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
 
 
 def zenoh_key(topic: str, kind: RosType) -> str:
@@ -265,16 +324,16 @@ def zenoh_key(topic: str, kind: RosType) -> str:
 def _session(mode: str, address: ListenAddress) -> zenoh.Session | None:
     """Return a Zenoh session that uses only this address, with `mode` 'listen' or 'connect'; None if it fails."""
     config = zenoh.Config()
-    endpoint = f'["tcp/{address}"]'
-    config.insert_json5("mode", '"peer"')
-    config.insert_json5("scouting/multicast/enabled", "false")
     # Zenoh's shared memory would leave a file in /dev/shm after a kill, and has no benefit for messages this small.
-    config.insert_json5("transport/shared_memory/enabled", "false")
-    config.insert_json5("listen/endpoints", endpoint if mode == "listen" else "[]")
-    config.insert_json5("connect/endpoints", endpoint if mode == "connect" else "[]")
+    for key in ("scouting/multicast/enabled", "transport/shared_memory/enabled"):
+        config.insert_json5(key, "false")
+    # Latched messages need time stamps.
+    for key in ("timestamping/enabled", "connect/exit_on_failure", "listen/exit_on_failure"):
+        config.insert_json5(key, "true")
+    for key in ("listen", "connect"):
+        config.insert_json5(f"{key}/endpoints", f'["tcp/{address}"]' if mode == key else "[]")
+    config.insert_json5("mode", '"peer"')
     config.insert_json5("connect/timeout_ms", "5000")
-    config.insert_json5("connect/exit_on_failure", "true")
-    config.insert_json5("listen/exit_on_failure", "true")
     try:
         return zenoh.open(config)
     except zenoh.ZError:

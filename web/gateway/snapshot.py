@@ -33,6 +33,8 @@ class StationInfo:
     state: State = State.OFF
     cause: str = ""  #: why the state is HOLD, STOPPED or FAULT
     gains: tuple[tuple[str, float | str | bool], ...] = ()  #: keys and values of the controller's parameters
+    busy: bool = False  #: whether a command `move_*` or `home` of a ROS 2 client has not ended yet
+    moves: int = 0  #: number of these commands that were started or refused
 
     @property
     def text(self) -> str:
@@ -44,12 +46,7 @@ class StationInfo:
 class SceneState:
     """State of the robot at one time, in the world frame and SI units; unknown values are None."""
 
-    time: float  #: time of the telemetry row by the station's clock [s]
     stamp: int  #: time of the telemetry row [ns] since 1970
-    state: State
-    cause: str
-    joints: Array  #: measured joint positions (n,) [rad or m]
-    velocities: Array  #: joint velocities as sent to the stages (n,) [rad/s or m/s]
     measured: Array | None  #: position of the tip by the tracker (3,) [m]
     estimated: Pose | None  #: pose of the tip by the loaded model
     desired: Array | None  #: desired position of the tip (3,) [m]
@@ -101,17 +98,16 @@ class SnapshotReader:
             self._zero = zero
         self._zero += min(max(zero - self._zero, -OFFSET_GAIN_DOWN), OFFSET_GAIN_UP)
         stamps = (1e9 * (self._zero + rows[:, 0] / rate)).astype(np.int64)
-        return Snapshot(info, rows, stamps, self._scene(rows[-1], int(stamps[-1]), info) if with_scene else None)
+        return Snapshot(info, rows, stamps, self._scene(rows[-1], int(stamps[-1])) if with_scene else None)
 
-    def _scene(self, row: Array, stamp: int, info: StationInfo) -> SceneState:
+    def _scene(self, row: Array, stamp: int) -> SceneState:
         of, stale, pose = self._channels.of, stale_groups(self._channels, row), self._poses.of(row)
 
         def known(group: str) -> Array | None:
             return None if group in stale else of(row, group)
 
         return SceneState(
-            float(row[0]), stamp, info.state, info.cause, of(row, "joints"), of(row, "velocity_sent"),
-            known("tip_measured"), None if pose is None else pose.tip, known("tip_desired"),
+            stamp, known("tip_measured"), None if pose is None else pose.tip, known("tip_desired"),
             () if pose is None else pose.bases, () if pose is None else pose.lines,
             known("force"), known("moment"), row, pose,
         )  # fmt: skip

@@ -13,7 +13,7 @@ import viser
 
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot, Tube
-from web.scene.content import SceneContent
+from web.scene.content import NO_POINTS, SceneContent
 from web.scene.framing import FIELD_OF_VIEW_RAD, Camera, Vector, fit, fit_next_to_close_up
 
 #: Aspect ratio (width by height) that is assumed for a picture of unknown size.
@@ -67,7 +67,7 @@ def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
     """Return the camera as near as possible to the robot such that the picture contains all bounds of the view.
 
     Args:
-        view: one of `VIEWS`; for `FOLLOWING_VIEW` while nothing is drawn.
+        view: one of `VIEWS`; `FOLLOWING_VIEW` only while nothing is drawn.
         robot: bounds of the robot's reach.
         tip: present tip (3,) [m].
         aspect: aspect ratio of the picture (width by height).
@@ -82,7 +82,7 @@ def camera(view: str, robot: ViewBounds, tip: Array, aspect: float) -> Camera:
 
 
 SAMPLING_STEP = 1e-3  #: distance between the points of a tube at which its curvature is sampled [m]
-#: Margins of the bounds around the plate, the rail and the straight tubes behind the plate: aside and below [m].
+#: Margins of the bounds around the plate, the rail and the straight tubes behind the plate: sideways and below [m].
 MARGIN_ASIDE_M, MARGIN_BELOW_M = 0.022, 0.026
 
 
@@ -145,7 +145,7 @@ COMMANDED_CAMERAS, KEPT_PAGES = 60, 32
 
 
 class _Page:
-    """Camera of one page: while it follows, the movement to the best camera."""
+    """Camera of one page; while it follows what is drawn, also its movement to the best camera."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self.client = client
@@ -167,6 +167,7 @@ class Cameras:
     ) -> None:
         """`extent`: bounds of the robot that the fixed views show; `drawn` returns the content of the last picture."""
         self._server, self._extent, self._unit, self._drawn = server, extent, unit, drawn
+        self._path = NO_POINTS  # the last path that was drawn
         self._lock = threading.Lock()
         self._pages: dict[str, _Page] = {}
         self._last: OrderedDict[str, Camera] = OrderedDict()  # last cameras of disconnected pages that followed
@@ -216,11 +217,12 @@ class Cameras:
             page = self._pages.get(who)
         if page is None or view not in VIEWS:
             return False
+        self._path = NO_POINTS  # after a choice, only a path that is drawn now turns the view
         self._show(page, view)
         return True
 
     def follow(self, *, reframe: bool) -> None:
-        """Move the cameras that follow; to be called with each picture. `reframe`: also check what they show."""
+        """Move the cameras that follow what is drawn, once per picture. `reframe`: also check whether they show it."""
         with self._lock:
             pages = [page for page in self._pages.values() if page.following]
         for page in pages:
@@ -257,7 +259,9 @@ class Cameras:
     def _camera(self, view: str, aspect: float) -> Camera:
         drawn = self._drawn()
         if view == FOLLOWING_VIEW and len(drawn.robot):
-            return fit_next_to_close_up(drawn.framed, *DIRECTIONS[view], aspect)
+            if len(drawn.path):
+                self._path = drawn.path  # the view stays after the motion
+            return fit_next_to_close_up(drawn.framed, *DIRECTIONS[view], aspect, self._path)
         return camera(view, self._extent, self._extent.middle if drawn.tip is None else drawn.tip, aspect)
 
     def _reported(self, client: viser.ClientHandle) -> Camera:

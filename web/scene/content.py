@@ -12,7 +12,7 @@ from station.service.status import StationStatus
 
 #: Length of each tube's distal part that is sent to the close-up [m].
 CLOSE_UP_LENGTH_M = 0.10
-#: Points of the plate and its guide that the following view shows, relative to the point where the tubes leave [m].
+#: Points of the plate and its guide that the following view shows, relative to where the tubes leave it [m].
 GUIDE_CORNERS_M = np.array([(x, 0.0, z) for x in (-0.02, 0.02) for z in (-0.02, 0.0)])
 #: Largest number of points of the desired path that are sent to the close-up.
 PATH_POINTS = 240
@@ -32,7 +32,7 @@ class SceneContent(NamedTuple):
     contact: str  #: position of a contact on the shaft as text; empty if the force acts at the tip
     trace: Array  #: recent positions of the measured tip, oldest first (n, 3) [m]
     path: Array  #: desired path of the tip (m, 3) [m]
-    robot: Array = np.empty((0, 3))  #: drawn centre line from the plate to the tip (k, 3) [m]
+    robot: Array = np.empty((0, 3))  #: drawn centre line from the plate to the last tube end (k, 3) [m]
     model_end: Array = np.empty((0, 3))  #: end of the model's centre line (k, 3) [m]; empty near the measured tip
     model_error: float | None = None  #: distance of the model's tip from the measured tip [m], smoothed
 
@@ -49,7 +49,7 @@ class SceneContent(NamedTuple):
         return np.concatenate((self.robot, self.robot[:1] + GUIDE_CORNERS_M, self.path, self.trace, place))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the content as the page receives it."""
+        """Return the content as JSON values for the page, positions in millimetres."""
         return {
             "message": self.message,
             "age": round(self.age, 2),
@@ -81,7 +81,7 @@ MAX_POINTS = 2000  #: largest number of points of the path; a longer path is cut
 
 
 def path_offsets(task: MotionTask) -> Array:
-    """Return points (k, 3) [m] of a task's path relative to the tip at the start; of a periodic path, one period.
+    """Return points (k, 3) [m] of a task's path relative to the tip at the start; a periodic path ends after a period.
 
     The result has fewer than two points if the task has no path, for example a rest or a joint motion.
     """

@@ -31,6 +31,31 @@ class Camera(NamedTuple):
         return Camera(eye, self.centre + share * (other.centre - self.centre), other.up)
 
 
+#: Smallest angle between a path's plane and the ray to the path [rad]. Then step and limit of the angle between this
+#: plane and the view direction [rad]; the two angles differ, because a path is seldom in the middle of the picture.
+LEAST_TILT_RAD, TILT_STEP_RAD, MOST_TILT_RAD = np.deg2rad((30.0, 5.0, 75.0))
+#: Width of a path relative to its length below which it counts as a line, without a plane; and least length [m].
+LINE_WIDTH, LEAST_LENGTH_M = 0.05, 1e-3
+
+
+def plane_normal(path: Array) -> Array | None:
+    """Return the unit normal (3,) of the plane of a path (k, 3) [m]; None for a short or a straight path."""
+    if len(path) < 3 or np.ptp(path, axis=0).max() < LEAST_LENGTH_M:
+        return None
+    _, sizes, axes = np.linalg.svd(path - path.mean(axis=0), full_matrices=False)
+    return None if sizes[1] < LINE_WIDTH * sizes[0] else axes[2]
+
+
+def tilted(direction: Array, normal: Array, tilt: float) -> Array:
+    """Return the unit vector nearest to `direction` (3,) that has at least the angle `tilt` to a plane [rad]."""
+    toward = direction / np.linalg.norm(direction)
+    normal = normal if normal @ toward >= 0.0 else -normal
+    if (now := float(normal @ toward)) >= np.sin(tilt):
+        return toward
+    within = toward - now * normal
+    return np.cos(tilt) * within / np.linalg.norm(within) + np.sin(tilt) * normal
+
+
 class Window(NamedTuple):
     """Part of a picture: distances of its edges from the picture's centre, as fractions of half the picture's size."""
 
@@ -43,8 +68,8 @@ class Window(NamedTuple):
 def fit(points: Array, direction: Vector, up: Vector, aspect: float, window: Window | None = None) -> Camera:
     """Return the camera nearest to `points` (k, 3) [m] that shows all of them inside a window of the picture.
 
-    An edge of the window bounds the camera's position linearly: for a point at (x, z) across and toward the camera and
-    an edge with the slope s, x - a <= s (d - z) for a camera at (a, d). The two opposite edges determine d, then a.
+    Let a point be at x across and z toward the camera, and the camera at a across and d toward. The point is inside an
+    edge of slope s if x - a <= s (d - z). This is linear in a and d, so two opposite edges determine d, then a.
 
     Args:
         points: points in the world frame (k, 3) [m].
@@ -88,7 +113,27 @@ def free_windows(aspect: float) -> tuple[Window, Window]:
     )
 
 
-def fit_next_to_close_up(points: Array, direction: Vector, up: Vector, aspect: float) -> Camera:
-    """Return the nearest camera that shows all points in one of the free parts of the page's scene."""
+def fit_next_to_close_up(points: Array, direction: Vector, up: Vector, aspect: float, path: Array) -> Camera:
+    """Return the nearest camera that shows all points in one of the free parts of the page's scene.
+
+    The camera turns from `direction` until it sees the plane of the `path` (k, 3) [m] at `LEAST_TILT_RAD` or more.
+    """
+    toward, normal = np.array(direction), plane_normal(path)
+    tilt, best = LEAST_TILT_RAD, _nearest(points, direction, up, aspect)
+    while normal is not None and _seen_tilt(best, path, normal) < LEAST_TILT_RAD and tilt <= MOST_TILT_RAD:
+        x, y, z = tilted(toward, normal, tilt).tolist()
+        if abs(np.dot((x, y, z), up)) > np.cos(0.5 * LEAST_TILT_RAD):
+            break  # the camera would look along the direction that points up
+        tilt, best = tilt + TILT_STEP_RAD, _nearest(points, (x, y, z), up, aspect)
+    return best
+
+
+def _nearest(points: Array, direction: Vector, up: Vector, aspect: float) -> Camera:
     cameras = [fit(points, direction, up, aspect, window) for window in free_windows(aspect)]
     return min(cameras, key=lambda camera: float(np.linalg.norm(camera.eye - camera.centre)))
+
+
+def _seen_tilt(camera: Camera, path: Array, normal: Array) -> float:
+    """Return the angle between the plane of a path and the ray to its middle [rad]."""
+    ray = camera.eye - path.mean(axis=0)
+    return float(np.arcsin(min(1.0, abs(normal @ ray) / float(np.linalg.norm(ray)))))

@@ -31,7 +31,7 @@ class Grid(NamedTuple):
 
 
 def draw_grid(scene: viser.SceneApi, grid: Grid, distance: float, unit: float) -> None:
-    """Draw grid lines every 25 mm and 50 mm; `distance`: the camera's first distance [m]."""
+    """Draw grid lines every 25 mm and 50 mm; `distance`: initial distance of the camera [m]."""
     middle, size = 0.5 * (grid.lower + grid.upper), grid.upper - grid.lower
     planes: tuple[tuple[str, Literal["yz", "xz"], float, tuple[float, float, float], float], ...] = (
         ("floor", "yz", size[1], (grid.upper[0], middle[1], middle[2]), FLOOR_SHADOW),

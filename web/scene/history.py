@@ -127,7 +127,7 @@ class Validity(NamedTuple):
     joints: bool  #: whether the stages answer
     tip: bool  #: whether the tracker measures the tip
     force: bool  #: whether the force on the tip is known
-    absent: frozenset[str] = frozenset()  #: values that this bench does not measure at all
+    absent: frozenset[str] = frozenset()  #: values that this rig does not measure at all
 
     @property
     def message(self) -> str:

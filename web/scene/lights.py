@@ -11,7 +11,7 @@ DIRECT_POSITION = (-6.0, -2.5, 2.0)
 
 
 def add_lights(scene: viser.SceneApi) -> None:
-    """Replace viser's default lights; one light with shadows is cheaper than viser's, and its shadow is a clear one."""
+    """Replace viser's default lights: a single light with shadows costs less and makes one clear shadow."""
     scene.configure_default_lights(enabled=False)
     scene.add_light_hemisphere("/lights/soft", sky_color=SKY_COLOUR, ground_color=FLOOR_COLOUR, intensity=SOFT)
     scene.add_light_directional("/lights/direct", intensity=DIRECT, cast_shadow=True, position=DIRECT_POSITION)

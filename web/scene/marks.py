@@ -18,8 +18,8 @@ TUBE_MAGNIFICATION = 2.0
 
 #: Number of points of the line that marks each section of the shaft.
 MARK_POINTS = 24
-#: Diameter of the line that marks the 95 % section of the shaft, and radius of the sphere at the contact's most likely
-#: position, for tubes at their true diameter [m]. Both are thicker than the tubes, so that the tubes do not hide them.
+#: Diameter of the line along the 95 % section of the shaft, and radius of the sphere at the most likely contact [m],
+#: for tubes at their true diameter. Both are thicker than the tubes, so that the tubes do not hide them.
 THICKNESS_M, MARKER_M = 4.4e-3, 3.2e-3
 
 
@@ -138,7 +138,7 @@ class TubeLegendEntry(Strict):
     colour: str
     """CSS colour"""
     diameter: float
-    """[m]"""
+    """outer diameter of the tube [m]"""
 
 
 class Legend(Strict):
@@ -146,7 +146,7 @@ class Legend(Strict):
 
     signs: tuple[LegendEntry, ...]
     tubes: tuple[TubeLegendEntry, ...]
-    """innermost first"""
+    """tubes, innermost first"""
     views: tuple[str, ...]
     """names of the camera's views"""
     magnification: float
@@ -170,7 +170,7 @@ def signs(*, target: bool) -> tuple[LegendEntry, ...]:
         ),
         LegendEntry(name="contact on the shaft, 95 %", colour=css(palette.CONTACT), shape="bar"),
         LegendEntry(name="reference path", colour=css(palette.DESIRED), shape="line"),
-        LegendEntry(name="end of the model, off the tracker", colour=css(palette.ESTIMATED), shape="line"),
+        LegendEntry(name="end of the model, not at the measured tip", colour=css(palette.ESTIMATED), shape="line"),
         LegendEntry(
             name=f"grid, {1e3 * FINE_SPACING_M:.0f} mm and {1e3 * COARSE_SPACING_M:.0f} mm",
             colour=css(palette.GREY),

@@ -7,11 +7,11 @@ from core.robot.robot import Array
 from station.config import palette
 from web.scene.robot_mesh import centre_line
 
-#: Share of a new difference in the smoothed one, at 30 pictures a second: tracker noise does not shake the tubes.
+#: Weight of a new difference in the smoothed one, at 30 pictures a second; noise must not shake the drawn tubes.
 SMOOTHING = 0.15
 #: Differences at which the model's end appears and disappears [m].
 SHOW_ERROR_M, HIDE_ERROR_M = 1.0e-3, 0.8e-3
-#: Largest difference to which the tubes are bent [m]: beyond it the tracker hardly measures this robot's tip.
+#: Largest difference by which the drawn tubes are bent [m]; beyond it the measured point is not this robot's tip.
 MAX_BEND_M = 0.03
 #: Length of the drawn end of the model [m], and number of its dashes.
 END_M, DASHES = 0.06, 12

@@ -4,6 +4,7 @@ import threading
 
 import numpy as np
 import viser
+from pydantic import ConfigDict
 
 from core.errors import CtrError
 from core.model.batch import solve_many
@@ -134,6 +135,8 @@ GHOST_POINTS = 60
 
 class ViewOptions(Strict):
     """Objects that the scene shows in addition to the robot. All clients have the same options."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"ghost": True, "target": True}]})
 
     ghost: bool = False
     """shape of the robot without its load"""

@@ -19,7 +19,7 @@ SIDES = 12
 
 
 def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
-    """Return the robot's centre line between and behind the cross-sections of the model.
+    """Return points of the robot's centre line at arc lengths that may be negative, that is behind the plate.
 
     The line is cubic between cross-sections, with the model's tangents, and straight along z behind the plate.
 
@@ -32,6 +32,10 @@ def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
     """
     # The model has two rows with the same arc length at the ends of tubes and sections; one of the two is dropped.
     rows = shape[np.append(True, np.diff(shape[:, 0]) > 1e-9)]
+    if len(rows) == 1:  # all tubes are flush with the plate: the line has no length, but a direction
+        rows = np.vstack((rows, rows))
+        rows[1, 0] += 1e-3
+        rows[1, 10:13] += 1e-3 * rows[0, [3, 6, 9]]
     arc, frames, points = rows[:, 0], rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:13]
     at = np.minimum(at, arc[-1])
     before = np.clip(np.searchsorted(arc, at, side="right") - 1, 0, len(arc) - 2)
@@ -54,8 +58,8 @@ def centre_line(shape: Array, at: Array) -> tuple[Array, Array]:
 class Bend(NamedTuple):
     """Change of the drawn shape, so that the tubes end at the measured tip; the control loop does not use it.
 
-    The displacement grows with the square of the arc length, as that of a cantilever does near its clamp: it leaves
-    the position and the tangent at the plate unchanged.
+    The displacement grows with the square of the arc length, as that of a cantilever does near its clamp. It does not
+    change the position and the tangent at the plate.
     """
 
     offset: Array  #: displacement of the tip (3,) [m]

@@ -1,4 +1,4 @@
-"""3D scene: the robot with its markers, its load, its path and a millimetre grid.
+"""3D scene: the robot with its markers, its load and its path, and two grids.
 
 World frame as in `core`: +z along the straight tubes, gravity along +x, so that x points down on the
 screen. The scene's unit is the decimetre, a size for which viser's shadows and camera work well.
@@ -10,7 +10,7 @@ import viser
 from core.errors import CtrError
 from core.model.backbone import backbone
 from core.model.statics import Solution, Statics
-from core.robot.robot import Array
+from core.robot.robot import FLUSH_TOLERANCE_M, Array
 from station.config import palette
 from station.control.loop import MotionTask, Phase
 from station.service.contact import SideLoad
@@ -150,8 +150,9 @@ class Scene:
         """Draw the tubes as the loaded model predicts them, bent to the measured tip, and the load where it acts."""
         joints = status.values["joints"]
         _, beta = self._supervisor.robot.tube_poses(joints)
-        length = float(beta[0]) + self._supervisor.robot.tubes[0].length
-        contact = None if side_load is None else min(side_load.contact.arc_length, length)
+        ends = self._supervisor.robot.tube_ends(joints)
+        length = max(float(ends[0]), FLUSH_TOLERANCE_M)
+        contact = None if side_load is None else min(side_load.contact.arc_length, max(float(ends.max()), 0.0))
         try:
             self._near = self._statics.solve(joints, np.concatenate((force, np.zeros(3))), self._near, contact)
         except CtrError:
@@ -185,8 +186,8 @@ class Scene:
         self.drawn = self.drawn._replace(
             tubes=tuple(line.beyond(length - CLOSE_UP_LENGTH_M) for line in lines),
             estimated=estimated, force=force if shown else None, place=position if shown else None,
-            contact=_contact_text(side_load), robot=lines[0].beyond(0.0), model_end=model_end,
-            model_error=self._offset.error,
+            contact=_contact_text(side_load), robot=max(lines, key=lambda line: float(line.arc[-1])).beyond(0.0),
+            model_end=model_end, model_error=self._offset.error,
         )  # fmt: skip
 
     def _draw_force(self, position: Array, force: Array) -> bool:

@@ -26,7 +26,7 @@ SLOWER_FACTORS = (1.0, 2.0, 4.0)
 MAX_DISTANCE_M = 0.35
 #: Time for which the tip stays at the target after the motion [s].
 HOLD_TIME_S = 3.0
-#: A check stays valid while the target, the joints [rad or m] and the force [N] change less than this.
+#: A check stays valid while target [m], its direction, joints [rad or m] and force [N] change less than this.
 TOLERANCES = (1e-5, 1e-4, 1e-3, 0.02)
 #: A check stays valid for this time [s] although joints or force change, as they always do during a run.
 MIN_PERIOD_S = 3.0
@@ -92,7 +92,7 @@ def plan_target_motion(
 class TargetCheck:
     """The last plan of a motion to the target.
 
-    Planning takes up to a second of a busy computer, and every open page asks for the result twice a second.
+    Planning takes up to a second on a busy computer, and every open page requests the result twice a second.
     """
 
     def __init__(self) -> None:
@@ -106,7 +106,7 @@ class TargetCheck:
 
         Args:
             state: position of the target (3,) [m], its direction (3,), joints (n,) [rad or m] and force (3,) [N].
-            planned: makes the plan; at most one is made at a time.
+            planned: returns a new plan; this class calls it at most once at a time.
         """
         with self._lock:
             same = [

@@ -16,9 +16,10 @@ from core.model.solution import pure_force
 from core.robot.robot import Array
 from station.config import palette
 from station.config.loads import GRAVITY, ConstantLoad, NoLoad
+from station.service.commands import ApplyLoad
 from station.service.contact import WINDOW_ROWS, ContactMonitor, SideLoad
-from station.service.station_service import StationService
 from station.service.status import STALE_AFTER_S, StationStatus
+from station.service.supervisor import Supervisor
 from web.scene.cameras import Cameras
 from web.scene.content import SceneContent
 from web.scene.gizmos import FORCE_HANDLE, FORCE_SIZE_M, TARGET_HANDLE, TARGET_SIZE_M, Gizmo, boxes, handle_force
@@ -42,24 +43,21 @@ log = logging.getLogger(__name__)
 class SceneView:
     """Thread that updates the scene on a viser server until `close` is called; the caller owns the server."""
 
-    def __init__(self, server: viser.ViserServer, service: StationService) -> None:
+    def __init__(self, server: viser.ViserServer, supervisor: Supervisor) -> None:
         self._server = server
-        self._service = service
-        self._supervisor = service.supervisor
+        self._supervisor = supervisor
         # A client could otherwise request a public tunnel from the internet to this server.
         server.request_share_url = _no_share
-        self._history = TipTrace(service.supervisor.channels)
-        self._limits = service.supervisor.bench.limits
+        self._history = TipTrace(supervisor.channels)
+        self._limits = supervisor.bench.limits
         server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=palette.BLUE)
-        self._scene = Scene(server, service.supervisor)
+        self._scene = Scene(server, supervisor)
         self.cameras = Cameras(server, self._scene.extent, UNITS_PER_M, lambda: self._scene.drawn)
-        self._contact_monitor = ContactMonitor(
-            service.supervisor.robot, service.supervisor.statics, service.supervisor.channels
-        )
-        self._workspace = WorkspaceMesh(service.supervisor.statics, self._limits)
-        self._overlays = Overlays(server.scene, service.supervisor.statics, self._workspace, UNITS_PER_M)
+        self._contact_monitor = ContactMonitor(supervisor.robot, supervisor.statics, supervisor.channels)
+        self._workspace = WorkspaceMesh(supervisor.statics, self._limits)
+        self._overlays = Overlays(server.scene, supervisor.statics, self._workspace, UNITS_PER_M)
         #: Controller of motions to a target with a direction; None: the station's controller controls no direction.
-        file = service.supervisor.bench.controller
+        file = supervisor.bench.controller
         self.pointing = file if file.task == "position_and_direction" else None
         self._aim = task_selection(file.task, file.direction_weight)
         self._target = Gizmo(server.scene, TARGET_HANDLE, UNITS_PER_M, TARGET_SIZE_M, turns=self.pointing is not None)
@@ -108,7 +106,7 @@ class SceneView:
         return None if self.pointing is None else self._target.direction
 
     def target_check(self) -> TargetMotion:
-        """Return the motion to the target as last planned, planned anew after a change; see `TargetCheck`."""
+        """Return the last planned motion to the target, or after a change a new one; see `TargetCheck`."""
         values = self._supervisor.status().values
         if not values:
             return self.motion_to_target()
@@ -119,7 +117,7 @@ class SceneView:
         """Plan the motion of the tip from its present position to the target."""
         values = self._supervisor.status().values
         if not values:
-            return TargetMotion(None, 0.0, "there is no telemetry yet")
+            return TargetMotion(None, 0.0, "there is no telemetry before the stages are homed")
         pointing = None
         if self.pointing is not None:
             # The motion starts with the model's direction, not with the measured one, because the check uses the model.
@@ -161,10 +159,11 @@ class SceneView:
                     self._update_contact()
                 if number % UNWATCHED_EVERY == 0 or self._server.get_clients():
                     self._frame(slow=number % TRACE_EVERY == 0)
-            except Exception:
+            except Exception as error:
                 # The thread continues, as the next picture may succeed. The pause limits the log to one entry a second.
-                log.exception("a picture of the scene failed")
-                self._end.wait(1.0)
+                if not _is_race_in_viser(error):
+                    log.exception("a picture of the scene failed")
+                    self._end.wait(1.0)
             number += 1
             due = max(due + 1.0 / FRAME_RATE_HZ, time.monotonic())
 
@@ -200,7 +199,7 @@ class SceneView:
         if not shown:
             if self._has_load:
                 self._has_load = False
-                self._service.apply_load(NoLoad())
+                self._supervisor.send(ApplyLoad(load=NoLoad()))
             return
         tip = status.values["tip_observed"]
         dragged = self._force_handle.dragged()
@@ -208,9 +207,15 @@ class SceneView:
             force = handle_force(dragged, tip, ARROW_SCALE_M_PER_N)
             size = float(np.linalg.norm(force))
             self._has_load = True
-            self._service.apply_load(ConstantLoad(magnitude=size, direction=_direction(force, size)))
+            load = ConstantLoad(magnitude=size, direction=_direction(force, size))
+            self._supervisor.send(ApplyLoad(load=load))
         else:
             self._force_handle.put(tip + ARROW_SCALE_M_PER_N * self._history.mean("force"))
+
+
+def _is_race_in_viser(error: Exception) -> bool:
+    """Return whether viser's list of senders changed while a frame notified them; the next frame notifies all."""
+    return isinstance(error, RuntimeError) and str(error) == "deque mutated during iteration"
 
 
 def _direction(force: Array, size: float) -> tuple[float, float, float]:

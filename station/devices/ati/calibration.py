@@ -5,8 +5,8 @@ Each of its five required elements must occur once and contain only text: positi
 The calibration's serial number and ranges are optional. The parser ignores all other elements.
 
 A .cal file has a 6x6 matrix that converts six gauge voltages into a wrench: one row per axis about the transducer's
-origin, a scale by which the row must be divided, and a translation to the tool's origin. Newer files (version 1.1) also
-contain the resulting rows about the tool's origin.
+origin, a scale by which the row must be divided, and a transform to the tool's frame. Newer files (version 1.1) also
+contain the resulting rows in the tool's frame.
 """
 
 import math
@@ -17,28 +17,30 @@ from xml.parsers import expat
 
 import numpy as np
 
+from core.calibration.rigid_transform import cross_matrix, rotation_from_vector
 from core.errors import CtrError
 from core.robot.robot import Array
 
-#: Force units of a page [N].
+# Names and factors of ATI's C library for .cal files (`ForceConv`, `TorqueConv`, `DistConv` and `AngleConv` in ATIDAQ's
+# ftconfig.c, which compares names with their case). The spellings gf, kgf and kgf-cm are not in the library.
+_LBF, _KGF = 4.4482216152605, 9.80665
+#: Force units of a page and of a file [N].
 FORCE_UNITS = {
-    "N": 1.0,
-    "kN": 1e3,
-    "lbf": 4.4482216152605,
-    "klbf": 4448.2216152605,
-    "kgf": 9.80665,
-}
-#: Torque units of a page [N m].
+    "N": 1.0, "kN": 1e3, "lb": _LBF, "lbf": _LBF, "klb": 1e3 * _LBF, "klbf": 1e3 * _LBF,
+    "g": 1e-3 * _KGF, "gf": 1e-3 * _KGF, "kg": _KGF, "kgf": _KGF,
+}  # fmt: skip
+#: Torque units of a page and of a file [N m].
 TORQUE_UNITS = {
-    "N-m": 1.0,
-    "Nm": 1.0,
-    "N-mm": 1e-3,
-    "Nmm": 1e-3,
-    "kN-m": 1e3,
-    "lbf-in": 0.1129848290276167,
-    "lbf-ft": 1.3558179483314004,
-    "kgf-cm": 0.0980665,
-    "kg-cm": 0.0980665,
+    "N-m": 1.0, "Nm": 1.0, "N-mm": 1e-3, "Nmm": 1e-3, "kN-m": 1e3, "kNm": 1e3,
+    **dict.fromkeys(("in-lb", "in-lbf", "lb-in", "lbf-in"), 0.0254 * _LBF),
+    **dict.fromkeys(("ft-lb", "ft-lbf", "lb-ft", "lbf-ft"), 0.3048 * _LBF),
+    **dict.fromkeys(("kg-cm", "kgcm", "kgf-cm"), 0.01 * _KGF),
+}  # fmt: skip
+#: Length units of a file [m], and angle units [rad].
+LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+ANGLE_UNITS = {
+    **dict.fromkeys(("deg", "degree", "degrees"), math.pi / 180.0),
+    **dict.fromkeys(("rad", "radian", "radians"), 1.0),
 }
 REQUIRED_FIELDS = ("prodname", "cfgcpf", "cfgcpt", "scfgfu", "scfgtu")
 OPTIONAL_FIELDS = ("cfgcalsn", "cfgmr")
@@ -64,7 +66,7 @@ class NetftPage:
 
 
 def read_page(page: bytes) -> NetftPage:
-    """Read `netftapi2.xml`.
+    """Return the content of the page `netftapi2.xml`.
 
     Raises:
         PageError: the page is invalid; the message names the element, its text and what was expected.
@@ -151,9 +153,7 @@ def _ranges(text: str | None, force: float, torque: float) -> tuple[float, ...] 
 
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-#: Length units of a file [m].
-LENGTH_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254, "ft": 0.3048}
-#: Largest relative difference between the resulting rows in the file, which have five decimals, and the computed rows.
+#: Largest relative difference between a file's UserAxis rows, which have five decimals, and its converted Axis rows.
 ROW_TOLERANCE = 1e-3
 MAX_FILE_BYTES = 1 << 20  #: largest file that is read [bytes]
 _NUMBER = re.compile(r"[+-]?(\d{1,30}(\.\d{0,30})?|\.\d{1,30})([eE][+-]?\d{1,3})?", re.ASCII)
@@ -174,7 +174,7 @@ class GaugeCalibration:
     volts: float  #: voltage, of either sign, at which the converter saturates [V]
 
     def mean_wrench(self, voltages: Array) -> Array | None:
-        """Return the untared wrench (6,) [N, N m] of the mean of k samples of gauge voltages (6, k) [V].
+        """Return the untared wrench (6,) [N, N m] for the mean of k samples of the six gauge voltages (6, k) [V].
 
         The result is None if any sample is saturated or not a number, because the mean would hide the saturation.
         """
@@ -182,7 +182,7 @@ class GaugeCalibration:
 
 
 def read_calibration(path: Path) -> GaugeCalibration:
-    """Read a .cal file.
+    """Return the calibration in a .cal file.
 
     Raises:
         CalibrationError: the file is invalid; the message names the file, the part of it and what was expected.
@@ -200,7 +200,7 @@ def read_calibration(path: Path) -> GaugeCalibration:
 
 
 def parse_calibration(text: bytes) -> GaugeCalibration:
-    """Parse a .cal file's content; raises CalibrationError."""
+    """Return the calibration in the content of a .cal file; raises CalibrationError."""
     elements = _elements(text)
     head = elements["Calibration"][0]
     force = _unit(head, "ForceUnits", FORCE_UNITS)
@@ -213,7 +213,7 @@ def parse_calibration(text: bytes) -> GaugeCalibration:
     if axes:
         scale = np.array([_number(axes[name], "scale") for name in AXES])
         matrix = _values(axes) / scale[:, None] * to_si[:, None]
-        matrix = _shift(elements["BasicTransform"], head) @ matrix
+        matrix = _tool_transform(elements["BasicTransform"], head) @ matrix
     if ready:
         given = _values(ready) * to_si[:, None]
         if axes:
@@ -286,34 +286,39 @@ def _number(attributes: dict[str, str], name: str) -> float:
     return value
 
 
-def _unit(attributes: dict[str, str], name: str, units: dict[str, float]) -> float:
-    text = attributes.get(name, "")
+def _unit(attributes: dict[str, str], name: str, units: dict[str, float], default: str = "") -> float:
+    text = attributes.get(name) or default
     if text not in units:
         raise CalibrationError(f"{name} is '{text}'; expected one of {', '.join(units)}")
     return units[text]
 
 
-def _shift(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
-    """Return the matrix [[I, 0], [-[p]x, I]] (6, 6) that moves a wrench's reference point from the origin to p."""
-    shift = np.eye(6)
+def _tool_transform(transforms: list[dict[str, str]], head: dict[str, str]) -> Array:
+    """Return the matrix (6, 6) that expresses a wrench about the transducer's origin in the tool's frame.
+
+    As in `TTM` of ATI's library, the tool's frame is first moved to p = (Dx, Dy, Dz), and then turned by Rx, Ry and Rz
+    about its own axes, each already turned by the angles before. R = (X Y Z)^T gives [[R, 0], [-R [p]x, R]].
+    """
     if not transforms:
-        return shift
-    numbers: dict[str, float] = {}
+        return np.eye(6)
+    values: list[float] = []
     for name in ("Dx", "Dy", "Dz", "Rx", "Ry", "Rz"):
-        text = transforms[0].get(name, "0")
-        numbers[name] = float(text) if _NUMBER.fullmatch(text) else math.nan
-        if not math.isfinite(numbers[name]):
+        text = transforms[0].get(name) or "0"
+        values.append(float(text) if _NUMBER.fullmatch(text) else math.nan)
+        if not math.isfinite(values[-1]):
             raise CalibrationError(f"BasicTransform: {name} is '{text}'; expected a number")
-        if name.startswith("R") and numbers[name]:
-            raise CalibrationError(f"BasicTransform: {name} is {text}; only translations are supported, expected 0")
-    unit = _unit(head, "DistUnits", LENGTH_UNITS)
-    x, y, z = (numbers[name] * unit for name in ("Dx", "Dy", "Dz"))
-    shift[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return shift
+    position = np.array(values[:3]) * _unit(head, "DistUnits", LENGTH_UNITS)
+    angles = np.array(values[3:]) * _unit(head, "AngleUnits", ANGLE_UNITS, "degrees")
+    about_x, about_y, about_z = (rotation_from_vector(vector) for vector in np.diag(angles))
+    rotation = (about_x @ about_y @ about_z).T
+    transform = np.zeros((6, 6))
+    transform[:3, :3] = transform[3:, 3:] = rotation
+    transform[3:, :3] = -rotation @ cross_matrix(position)
+    return transform
 
 
 def _compare(computed: Array, given: Array) -> None:
-    """Raise if the resulting rows in a file differ from the rows computed from the file's other numbers."""
+    """Raise CalibrationError if the UserAxis rows `given` in a file differ from its converted Axis rows `computed`."""
     off = np.abs(given - computed).max(axis=1) / np.abs(computed).max(axis=1)
     worst = int(np.argmax(off))
     if not off[worst] <= ROW_TOLERANCE:

@@ -1,4 +1,4 @@
-"""Driver of base sensors with ATI Net F/T boxes, one per sensor, interpolated to a common time; without threads.
+"""Driver of base sensors with one ATI Net F/T box each; interpolates their samples to a common time. No threads.
 
 An invalid sample never replaces the last valid wrench of its sensor. `quality` reports the faults of the samples.
 """
@@ -6,8 +6,6 @@ An invalid sample never replaces the last valid wrench of its sensor. `quality` 
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from enum import IntFlag
-from types import MappingProxyType
 from typing import Annotated, Any, Protocol
 
 import httpx
@@ -18,17 +16,19 @@ from core.compiled import compiled
 from core.errors import CtrError
 from core.robot.robot import Array, Indices
 from station.config.robots import RobotFile
-from station.config.strict import Name, NotNegative, Positive, Row, Strict, check
+from station.config.strict import ConfigError, Name, NotNegative, Positive, Row, Strict, check
 from station.devices.ati.calibration import MAX_PAGE_BYTES, NetftPage, read_page
 from station.devices.ati.protocol import (
     LATENCY_S,
+    MIN_RECORD_RATE_HZ,
     RDT_PORT,
+    RECORD,
+    SAMPLE_RATE_HZ,
     SATURATED,
     THRESHOLD_LATCHED,
     Counters,
     RdtCommand,
     RdtSample,
-    SampleClock,
     SampleHistory,
     SampleRing,
     Stream,
@@ -38,8 +38,10 @@ from station.devices.ati.protocol import (
     push,
     request,
 )
-from station.devices.config import Mount, TcpPort, in_order, mounted
-from station.devices.interfaces import BaseSensors, Condition, DeviceFault, Severity, WrenchReading
+from station.devices.config import Mount, TcpPort, mounted, sensor_tables, twins
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
+from station.devices.kernel.quality import Quality, Sampled, quoted, sample_fault
+from station.devices.kernel.sampled import observe
 from station.devices.links.link import DatagramLink, LinkError
 
 
@@ -47,38 +49,10 @@ class SensorError(CtrError):
     """A force sensor cannot be reached or is not the expected one; the text names the sensor and what to do."""
 
 
-class WrenchQuality(IntFlag):
-    """Faults of a sensor's reading; 0: none."""
-
-    GOOD = 0
-    LATCHED = 1  #: a monitor condition has latched in the box; a warning
-    GAP = 2  #: records were lost since the last poll; a warning
-    STALE = 4  #: no usable sample for too long, or none yet
-    SATURATED = 8  #: the transducer or its converter is saturated
-    STATUS = 16  #: the box reports another fault
-    RANGE = 32  #: the wrench is outside the calibration's range, although the box reports no fault
-    RESET = 64  #: the box has restarted since the stream started: its bias and identity are unknown
-    GONE = 128  #: the link is gone
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether the reading is valid for control."""
-        return not self & ~(WrenchQuality.LATCHED | WrenchQuality.GAP)
-
-
-#: What has happened to a sensor whose reading has a fault, the most specific fault first.
-HAPPENED = MappingProxyType(
-    {
-        WrenchQuality.GONE: "is not connected",
-        WrenchQuality.RESET: "has restarted, so its zero is unknown",
-        WrenchQuality.SATURATED: "is saturated: take the load off",
-        WrenchQuality.STATUS: "reports a fault",
-        WrenchQuality.RANGE: "measures more than its calibration allows: take the load off",
-        WrenchQuality.STALE: "was silent for too long",
-    }
-)
 #: Silence after which the driver requests the stream again [s].
 RETRY_AFTER_S = 0.5
+#: Number of further attempts to connect to a box, which may be starting; after 0, 0.5, 1, 2 and 4 s.
+BOOT_ATTEMPTS = 5
 
 
 class ForceBoxFile(Strict):
@@ -111,16 +85,18 @@ class NetftSettings(Strict):
 
 
 class NetftFile(NetftSettings):
-    """ATI Net F/T boxes, one for each tube."""
+    """ATI Net F/T boxes, one for each sensor."""
 
-    tubes: Mapping[Name, ForceBoxFile]
+    tubes: Mapping[Name, ForceBoxFile] = {}
     """box of the sensor at each tube, by the name of the tube"""
+    robot: ForceBoxFile | None = None
+    """box of the sensor under the whole robot, with `at = "robot"`"""
 
 
 class Datagrams(Protocol):
     """A link of whole datagrams to one box: UDP, or a queue in memory."""
 
-    name: str  #: for messages
+    name: str  #: name of the link in messages
 
     def receive(self) -> list[bytes]:
         """Return the datagrams that have arrived."""
@@ -136,7 +112,7 @@ class Datagrams(Protocol):
 
 
 # Flags as plain integers, because operations on `IntFlag` are slow and every tick uses the flags.
-_LATCHED, _GAP, _STALE, _SATURATED, _STATUS, _RANGE, _RESET, _GONE = (int(flag) for flag in WrenchQuality)
+_LATCHED, _GAP, _STALE = int(Quality.LATCHED), int(Quality.GAP), int(Quality.STALE)
 
 
 class _Sensor:
@@ -150,6 +126,7 @@ class _Sensor:
         self.flags = _STALE
         self.status = 0
         self.requests = 0
+        self.unread = b""  #: the newest datagram that has arrived since the last sample; empty: none
         self._settings = settings
         scale = [page.force_count] * 3 + [page.torque_count] * 3
         self._limits = np.array(page.ranges or settings.ranges) / scale
@@ -160,7 +137,7 @@ class _Sensor:
 
     def warm_up(self) -> None:
         """Load the compiled code now, because the first call takes longer than a tick."""
-        SampleClock().observe(0, SampleClock().latest(0.0))
+        observe(self.stream.clock.state.copy(), 0, self.stream.clock.latest(0.0))
         good = self.good
         _kept(*self.stream.state, b"", 0.0, self._limits, good.row, good.rows, good.ends, good.time)
         self.good.push()
@@ -194,37 +171,63 @@ class _Sensor:
                 if newest_time > -math.inf:
                     good.time, self.status, self._last_usable, received = newest_time, 0, now, True
                     continue
+                self._last_received, self.unread = now, datagram
                 counters = stream.counters
                 lost, resets = counters.lost, counters.resets
                 for sample in stream.feed(datagram, now):
                     newest |= self._take(sample, now)
                     received = True
-                flags |= (_GAP if counters.lost > lost else 0) | (_RESET if counters.resets > resets else 0)
+                flags |= (_GAP if counters.lost > lost else 0) | (
+                    int(Quality.RESTARTED) if counters.resets > resets else 0
+                )
             if received:
-                self._last_received, self._newest = now, newest
+                self._last_received, self._newest, self.unread = now, newest, b""
             elif self._streaming and now - self._last_received >= RETRY_AFTER_S:
                 self._last_received = now
                 stream.restart()
                 self._request_stream()
         except LinkError:
-            flags |= _GONE
-        if flags & _RESET:
-            self._latched_flags |= _RESET
+            flags |= int(Quality.LOST)
+        if flags & int(Quality.RESTARTED):
+            self._latched_flags |= int(Quality.RESTARTED)
             good.clear()
         flags |= self._newest | self._latched_flags
         if good.time == -math.inf or now - self._last_usable > self._settings.stale_after:
-            flags |= _STALE
+            flags |= _STALE | int(flags == 0 and self._why_stale())
         self.flags = flags
         return received
 
+    def _why_stale(self) -> Quality:
+        if (self.stream.record_rate or math.inf) < self._needed_rate:
+            return Quality.WRONG_RATE
+        return Quality.UNREADABLE if self.unread else Quality.SILENT
+
+    @property
+    def _needed_rate(self) -> int:
+        """Smallest rate of the records with which the sensor never counts as stale [1/s]."""
+        return max(MIN_RECORD_RATE_HZ, math.ceil(2.0 / self._settings.stale_after))
+
+    def because(self) -> str:
+        """Return the predicate of a sentence about what is wrong with the stream; empty if nothing is wrong."""
+        rate, counted = self.stream.record_rate, self.stream.clock.wrong_rate
+        if self.flags & Quality.WRONG_RATE:
+            return f"sends {rate:.3g} records/s, at least {self._needed_rate} are needed: set the RDT rate on its page"
+        if self.flags & Quality.UNREADABLE and len(self.unread) % RECORD.size:
+            return f"sends {quoted(self.unread)}, expected records of {RECORD.size} bytes: check 'host' and 'rdt_port'"
+        if self.flags & Quality.UNREADABLE:
+            return f"sends {quoted(self.unread)}, whose counters do not continue: switch the box off and on"
+        if not self.flags & ~(_LATCHED | _GAP) and counted:
+            return f"counts {counted:.0f} samples/s instead of {SAMPLE_RATE_HZ:g}: check that it is an ATI Net F/T"
+        return ""
+
     def _take(self, sample: RdtSample, now: float) -> int:
-        """Store a usable sample; return the flags of its faults."""
+        """Store a sample if it is usable; return the flags of its faults."""
         self.status = sample.status
         if not is_usable(sample.status):
-            return _SATURATED if sample.status & SATURATED else _STATUS
+            return int(Quality.SATURATED if sample.status & SATURATED else Quality.DEVICE_FAULT)
         flags = _LATCHED if sample.status == THRESHOLD_LATCHED else 0
         if (np.abs(np.array(sample.counts)) > self._limits).any():
-            return flags | _RANGE
+            return flags | int(Quality.RANGE)
         self.good.row[:] = sample.time, *sample.counts
         self.good.push()
         self._last_usable = now
@@ -268,9 +271,9 @@ class NetftSensors:
         self._started = False
 
     @property
-    def quality(self) -> tuple[WrenchQuality, ...]:
+    def quality(self) -> tuple[Quality, ...]:
         """Quality of each sensor at the last poll."""
-        return tuple(WrenchQuality(sensor.flags) for sensor in self._sensors)
+        return tuple(Quality(sensor.flags) for sensor in self._sensors)
 
     @property
     def is_usable(self) -> bool:
@@ -281,21 +284,6 @@ class NetftSensors:
     def counters(self) -> tuple[Counters, ...]:
         """Counters of each stream since its start."""
         return tuple(sensor.stream.counters for sensor in self._sensors)
-
-    def complaint(self) -> str:
-        """Return the faults as human-readable text; "" if there is none."""
-        return "; ".join(
-            f"force sensor {number} on {sensor.link.name}: "
-            + ", ".join(str(flag.name).lower() for flag in WrenchQuality if flag in quality)
-            + (
-                f", nothing usable for {1e3 * self._settings.stale_after:.0f} ms"
-                if WrenchQuality.STALE in quality
-                else ""
-            )
-            + (f" [{describe(sensor.status)}]" if sensor.status else "")
-            for number, (sensor, quality) in enumerate(zip(self._sensors, self.quality, strict=True), 1)
-            if not quality.is_usable
-        )
 
     @property
     def condition(self) -> Condition:
@@ -309,23 +297,29 @@ class NetftSensors:
         with contextlib.suppress(LinkError):
             self.start(now)
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
-        """Return a HOLD with the box's status if a sensor has no valid sample."""
-        if self._reading.usable:
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return a HOLD with the box's status if a sensor had no valid sample at the last poll."""
+        if self._reading.usable and not any(sensor.stream.clock.wrong_rate for sensor in self._sensors):
             return None
-        found = [
-            f"force sensor {number} {next(text for flag, text in HAPPENED.items() if flag in quality)}"
-            for number, quality in enumerate(self.quality, 1)
-            if not quality.is_usable
-        ]
-        return DeviceFault(Severity.HOLD, "; ".join(found), self.complaint())
+        return sample_fault([
+            Sampled(
+                f"force sensor {number}",
+                quality,
+                now - sensor.good.time,
+                f"force sensor {number} on {sensor.link.name}: {', '.join(quality.words or ['usable'])}"
+                + (f" [{describe(sensor.status)}]" if sensor.status else ""),
+                because,
+            )
+            for number, (sensor, quality) in enumerate(zip(self._sensors, self.quality, strict=True), 1)
+            if (because := sensor.because()) or not quality.is_usable
+        ], math.inf if self._reading.usable else 0.0)  # fmt: skip
 
     def details(self) -> Mapping[str, Any]:
         """Return identities and counters of the sensors."""
         return {
             sensor.link.name: {
                 "calibration": sensor.page.serial,
-                "quality": [str(flag.name).lower() for flag in WrenchQuality if flag in quality],
+                "quality": quality.words,
                 "requests": sensor.requests,
                 **vars(sensor.stream.counters),
             }
@@ -333,7 +327,7 @@ class NetftSensors:
         }
 
     def start(self, now: float) -> None:
-        """Request the streams; the operator also does this after a box has restarted.
+        """Request the streams, at the start and when the operator connects again after a box has restarted.
 
         Raises:
             LinkError: a port is gone.
@@ -382,8 +376,8 @@ class NetftSensors:
                 sensor.link.close()
 
 
-def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
-    """Fetch the configuration page of a box.
+def fetch_page(host: str, port: int = 80, timeout: float = 2.0, attempts: int = BOOT_ATTEMPTS) -> NetftPage:
+    """Fetch the configuration page of a box; `attempts` is the number of retries if it cannot be connected.
 
     Raises:
         SensorError: the box does not answer.
@@ -392,9 +386,10 @@ def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
     url = f"http://{host}:{port}/netftapi2.xml"
     page = b""
     try:
-        # Without proxies from the environment and without redirections, so that only the box itself answers. The box
-        # has no TLS, so no certificates are loaded, which would take 0.1 s.
-        client = httpx.Client(timeout=timeout, trust_env=False, verify=False)  # noqa: S501
+        # Use no proxies from the environment and follow no redirections, so that only the box itself answers. Load no
+        # certificates, which would take 0.1 s, because the box has no TLS.
+        transport = httpx.HTTPTransport(verify=False, trust_env=False, retries=attempts)
+        client = httpx.Client(timeout=timeout, trust_env=False, transport=transport)
         with client, client.stream("GET", url) as answer:
             if answer.status_code != 200:
                 raise SensorError(f"{url} answers {answer.status_code}; is this an ATI Net F/T?")
@@ -407,21 +402,33 @@ def fetch_page(host: str, port: int = 80, timeout: float = 2.0) -> NetftPage:
     return read_page(page)
 
 
-def connect(boxes: Sequence[ForceBoxFile], settings: NetftSettings | None = None) -> NetftSensors:
-    """Open the boxes of the tubes' sensors, in the order of the tubes; blocks, and does not start the streams.
-
-    Raises:
-        SensorError: a box does not answer or is not the expected one.
-        PageError: the page of a box is invalid.
-        LinkError: the address of a box is unknown, or another station uses the box.
-    """
-    pages = [fetch_page(box.host, box.http_port) for box in boxes]
+def check_identities(boxes: Sequence[ForceBoxFile], pages: Sequence[NetftPage]) -> None:
+    """Check that each box has its expected sensor, and that no two boxes have the same one; raises SensorError."""
     for box, page in zip(boxes, pages, strict=True):
         if box.serial is not None and page.serial != box.serial:
             raise SensorError(
                 f"the force sensor at {box.host} has calibration '{page.serial}', expected '{box.serial}'; "
                 "are the cables or addresses exchanged?"
             )
+    if same := twins({f"{box.host}:{box.rdt_port}": page.serial for box, page in zip(boxes, pages, strict=True)}):
+        raise SensorError(
+            f"the force sensors at {' and '.join(same)} have the same calibration: is it one box with two addresses?"
+            " Set 'host' of each tube to its own box, or load each sensor's calibration"
+        )
+
+
+def connect(
+    boxes: Sequence[ForceBoxFile], settings: NetftSettings | None = None, attempts: int = BOOT_ATTEMPTS
+) -> NetftSensors:
+    """Open the boxes in the order of the tubes, without starting their streams; waits for each box's web page.
+
+    Raises:
+        SensorError: a box does not answer or is not the expected one.
+        PageError: the page of a box is invalid.
+        LinkError: the address of a box is unknown, or another station uses the box.
+    """
+    pages = [fetch_page(box.host, box.http_port, attempts=attempts) for box in boxes]
+    check_identities(boxes, pages)
     links: list[DatagramLink] = []
     try:
         links.extend(DatagramLink(box.host, box.rdt_port) for box in boxes)
@@ -433,7 +440,12 @@ def connect(boxes: Sequence[ForceBoxFile], settings: NetftSettings | None = None
 
 
 def netft(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
-    """Return the opener of ATI Net F/T boxes; raises ConfigError."""
+    """Check the options, and return the function that opens the ATI Net F/T boxes; raises ConfigError."""
     file = check(NetftFile, options, "devices.sensors")
-    boxes = in_order(file.tubes, [tube.name for tube in robot.tubes], "devices.sensors.tubes")
+    boxes, _ = sensor_tables(file.tubes, file.robot, robot)
+    if same := twins({name: (box.host, box.rdt_port) for name, box in file.tubes.items()}):
+        raise ConfigError(
+            f"devices.sensors.tubes.{same[1]}.host = '{file.tubes[same[1]].host}': {same[0]} has the same box;"
+            " give each tube a different one"
+        )
     return lambda: mounted(connect(boxes, file), [box.mount for box in boxes])

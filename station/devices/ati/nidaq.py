@@ -1,16 +1,14 @@
-"""Driver of base sensors on analog cards: the mean voltages since the last poll give one wrench per sensor.
+"""Driver of base sensors on analog cards: computes one wrench per sensor from the mean voltages since the last poll.
 
-The mean over a tick has less noise than the last sample; its time is the middle of the tick. A card samples by its
-internal clock, so the driver computes the time of a sample from the number of the sample.
+The mean over a tick has less noise than the last sample; its time is the middle of the tick. A card has its own sample
+clock, so the driver computes the time of a sample from the number of the sample.
 """
 
 import contextlib
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from enum import IntFlag
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -21,8 +19,10 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Name, Positive, Strict, check
 from station.devices.ati.calibration import GaugeCalibration, read_calibration
-from station.devices.config import Mount, in_order, mounted
-from station.devices.interfaces import BaseSensors, Condition, DeviceFault, Severity, WrenchReading
+from station.devices.config import Mount, mounted, sensor_tables, twins
+from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
+from station.devices.kernel.quality import Quality, Sampled, sample_fault
+from station.devices.kernel.sampled import SampleClock
 from station.devices.links.link import LinkError, PortLock
 
 #: Capacity of NI's buffer: if the control loop does not read for longer, samples are lost [s].
@@ -31,7 +31,7 @@ INSTALL_HINT = "install it with: pip install 'ctr-station[nidaq]', and NI's driv
 
 
 def device_of(inputs: str) -> str:
-    """Return the name of the card of some inputs: `Dev1` for `Dev1/ai0:5`."""
+    """Return the name of the card to which inputs belong: `Dev1` for `Dev1/ai0:5`."""
     return inputs.partition("/")[0]
 
 
@@ -39,7 +39,7 @@ class NiCard:
     """One card. One NI-DAQmx task samples all inputs of the card, because the card has one converter."""
 
     def __init__(self, sensors: Sequence[tuple[str, float]], rate: float) -> None:
-        """Start to sample.
+        """Open the card, and start to sample.
 
         Args:
             sensors: for each sensor its six differential inputs, in NI's notation (`Dev1/ai0:5`), and the largest
@@ -47,8 +47,8 @@ class NiCard:
             rate: sampling rate of each input [1/s].
 
         Raises:
-            LinkError: package or driver is not installed, card or channel does not exist, the rate is not supported,
-                or another program uses the card.
+            LinkError: the package or NI's driver is not installed, the card or a channel does not exist, the rate is
+                not supported, or another program uses the card.
         """
         self.name = device_of(sensors[0][0])
         try:
@@ -69,7 +69,7 @@ class NiCard:
                 )
                 count = int(task.number_of_channels) - before
                 if count != 6:
-                    raise LinkError(f"{inputs} are {count} inputs; a sensor has 6, such as {self.name}/ai0:5")
+                    raise LinkError(f"{inputs} are {count} inputs; a sensor needs 6, such as {self.name}/ai0:5")
                 before += count
             mode = constants.AcquisitionType.CONTINUOUS
             task.timing.cfg_samp_clk_timing(rate, sample_mode=mode, samps_per_chan=round(BUFFER_S * rate))
@@ -113,46 +113,11 @@ MAX_CLOCK_DRIFT = 2e-4
 
 
 class Wiring(NamedTuple):
-    """Inputs of one sensor's gauges, and their calibration."""
+    """Inputs of one sensor's strain gauges, and their calibration."""
 
     card: int  #: index of the card
-    first: int  #: first of its six inputs on that card
+    first: int  #: index of the first of the sensor's six inputs on this card
     calibration: GaugeCalibration
-
-
-class CardQuality(IntFlag):
-    """Faults of a sensor's reading; 0: none."""
-
-    GOOD = 0
-    STALE = 1  #: no usable sample for too long, or none yet
-    SATURATED = 2  #: a gauge saturates the converter
-    GONE = 4  #: the card is lost
-
-
-#: What has happened to a sensor whose reading has a fault, the most specific fault first.
-HAPPENED = MappingProxyType(
-    {
-        CardQuality.GONE: "is not connected: its card is lost",
-        CardQuality.SATURATED: "is saturated: take the load off",
-        CardQuality.STALE: "was silent for too long",
-    }
-)
-
-
-class CardClock:
-    """Host time of a card's samples, from their numbers and the least delayed read, because no read is early."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._count = 0  # number of samples so far
-        self._offset, self._last_read = math.inf, 0.0  # host time of sample 0, from the least delayed read
-
-    def middle(self, samples: int, now: float) -> float:
-        """Return the time of the middle of the next `samples`, which are read at `now` [s]."""
-        self._count += samples
-        late = self._offset + MAX_CLOCK_DRIFT * (now - self._last_read)
-        self._offset, self._last_read = min(now - self._count / self._rate, late), now
-        return self._offset + (self._count - 0.5 * (samples - 1)) / self._rate
 
 
 class CardSensors:
@@ -171,10 +136,11 @@ class CardSensors:
 
     def _use(self, cards: Sequence[NiCard]) -> None:
         self._cards = tuple(cards)
-        self._clocks = [CardClock(card.rate) for card in self._cards]
+        self._clocks = [SampleClock(card.rate, MAX_CLOCK_DRIFT) for card in self._cards]
+        self._counts = [0] * len(self._cards)  # number of samples of each card so far
         self._lost = ["" for _ in self._cards]
         count = len(self._wirings)
-        self._flags = [int(CardQuality.STALE)] * count
+        self._flags = [Quality.STALE | Quality.SILENT] * count
         self._last_usable = [-math.inf] * count  # time of the last usable sample [s]
         self._times = [-math.inf] * count
         self._reading = WrenchReading(0.0, np.zeros((count, 6)), usable=False)
@@ -182,7 +148,7 @@ class CardSensors:
 
     @property
     def condition(self) -> Condition:
-        """CONNECTED after every sensor has had a usable sample."""
+        """FAULT after the loss of a card; CONNECTED after every sensor has had a usable sample."""
         if any(self._lost):
             return Condition.FAULT
         if not self._started:
@@ -190,11 +156,11 @@ class CardSensors:
         return Condition.CONNECTED if all(map(math.isfinite, self._times)) else Condition.CONNECTING
 
     @property
-    def quality(self) -> tuple[CardQuality, ...]:
+    def quality(self) -> tuple[Quality, ...]:
         """Quality of each sensor at the last poll."""
-        return tuple(CardQuality(flags) for flags in self._flags)
+        return tuple(self._flags)
 
-    def connect(self, now: float) -> None:  # noqa: ARG002 - the cards sample since they were opened
+    def connect(self, now: float) -> None:  # noqa: ARG002 - the cards have sampled since they were opened
         """Start to use the sensors; if a card is lost, open all cards again."""
         self._started = True
         if any(self._lost):
@@ -208,7 +174,7 @@ class CardSensors:
     def poll(self, now: float) -> WrenchReading:
         """Return the mean wrenches since the last poll; an unusable sensor keeps its last valid wrench."""
         wrenches = self._reading.wrenches
-        for index, (card, clock) in enumerate(zip(self._cards, self._clocks, strict=True)):
+        for index, card in enumerate(self._cards):
             if self._lost[index]:
                 continue
             try:
@@ -216,35 +182,32 @@ class CardSensors:
             except LinkError as error:
                 self._lost[index] = str(error)
                 continue
-            if voltages.shape[1]:
-                wrenches = self._take(index, voltages, clock.middle(voltages.shape[1], now), now, wrenches)
+            if samples := voltages.shape[1]:
+                self._counts[index] += samples
+                self._clocks[index].observe(self._counts[index], now)
+                middle = self._clocks[index].time(self._counts[index] - 0.5 * (samples - 1))
+                wrenches = self._take(index, voltages, middle, now, wrenches)
         for i, wiring in enumerate(self._wirings):
-            stale = CardQuality.STALE if now - self._last_usable[i] > self._stale_after else 0
-            gone = CardQuality.GONE if self._lost[wiring.card] else 0
-            self._flags[i] = self._flags[i] & CardQuality.SATURATED | stale | gone
+            flags = self._flags[i] & Quality.SATURATED
+            if now - self._last_usable[i] > self._stale_after:
+                flags |= Quality.STALE | (Quality.GOOD if flags else Quality.SILENT)
+            self._flags[i] = flags | (Quality.LOST if self._lost[wiring.card] else Quality.GOOD)
         time = min(self._times)
         self._reading = WrenchReading(time if math.isfinite(time) else now, wrenches, not any(self._flags))
         return self._reading
 
-    def trouble(self, now: float) -> DeviceFault | None:  # noqa: ARG002 - the state is that of the last poll
-        """Return a HOLD with the reason if a sensor has no valid sample."""
-        faulty = [
-            (number, self._cards[wiring.card].name, flags, self._lost[wiring.card])
-            for number, (wiring, flags) in enumerate(zip(self._wirings, self._flags, strict=True), 1)
-            if flags
-        ]
-        if not faulty:
-            return None
-        texts = [
-            f"force sensor {number} {next(text for flag, text in HAPPENED.items() if flag & flags)}"
-            for number, _, flags, _ in faulty
-        ]
-        details = [
-            f"force sensor {number} on {card}: "
-            + (lost or ", ".join(str(flag.name).lower() for flag in CardQuality if flag & flags))
-            for number, card, flags, lost in faulty
-        ]
-        return DeviceFault(Severity.HOLD, "; ".join(texts), "; ".join(details))
+    def trouble(self, now: float) -> DeviceFault | None:
+        """Return a HOLD if a sensor had no valid sample at the last poll, and a WARN if a card's clock is wrong."""
+        found: list[Sampled] = []
+        for i, (wiring, quality) in enumerate(zip(self._wirings, self._flags, strict=True)):
+            card, rate = self._cards[wiring.card], self._clocks[wiring.card].wrong_rate
+            if not quality and rate is None:
+                continue
+            because = "" if quality or rate is None else f"sends {rate:.0f} samples/s; its card reports {card.rate:g}"
+            details = self._lost[wiring.card] or ", ".join(quality.words or ["usable"])
+            name = f"force sensor {i + 1}"
+            found.append(Sampled(name, quality, now - self._times[i], f"{name} on {card.name}: {details}", because))
+        return sample_fault(found, 0.0 if any(self._flags) else math.inf) if found else None
 
     def details(self) -> Mapping[str, Any]:
         """Return identities and counters of the sensors."""
@@ -252,10 +215,10 @@ class CardSensors:
             f"{number} ({self._cards[wiring.card].name})": {
                 "calibration": wiring.calibration.serial,
                 "rate": self._cards[wiring.card].rate,
-                "quality": [str(flag.name).lower() for flag in CardQuality if flag & flags],
+                "quality": quality.words,
                 "saturated": saturated,
             }
-            for number, (wiring, flags, saturated) in enumerate(
+            for number, (wiring, quality, saturated) in enumerate(
                 zip(self._wirings, self._flags, self._saturated, strict=True), 1
             )
         }
@@ -273,7 +236,7 @@ class CardSensors:
                 continue
             gauges = voltages[wiring.first : wiring.first + 6]
             wrench = wiring.calibration.mean_wrench(gauges)
-            self._flags[i] = 0 if wrench is not None else int(CardQuality.SATURATED)
+            self._flags[i] = Quality.GOOD if wrench is not None else Quality.SATURATED
             if wrench is None:
                 self._saturated[i] += 1
             else:
@@ -295,10 +258,12 @@ class CardFile(Strict):
 
 
 class NidaqFile(Strict):
-    """ATI sensors on NI cards, one for each tube."""
+    """ATI sensors on NI cards."""
 
-    tubes: Mapping[Name, CardFile]
+    tubes: Mapping[Name, CardFile] = {}
     """inputs of the sensor at each tube, by the name of the tube"""
+    robot: CardFile | None = None
+    """inputs of the sensor under the whole robot, with `at = "robot"`"""
     rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
     """sampling rate of each input [1/s]"""
     stale_after: Positive = 0.05
@@ -306,17 +271,26 @@ class NidaqFile(Strict):
 
 
 def nidaq(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], BaseSensors]:
-    """Return the opener of ATI sensors on NI cards; raises ConfigError."""
+    """Check the options, and return the function that opens the ATI sensors on NI cards; raises ConfigError."""
     key = "devices.sensors"
     file = check(NidaqFile, options, key)
-    sensors = in_order(file.tubes, [tube.name for tube in robot.tubes], f"{key}.tubes")
+    sensors, names = sensor_tables(file.tubes, file.robot, robot)
     cards: dict[str, list[tuple[str, float]]] = {}
     gauges: list[tuple[str, int, GaugeCalibration]] = []
-    for tube, sensor in zip(robot.tubes, sensors, strict=True):
-        calibration = _calibration(sensor, f"{key}.tubes.{tube.name}")
+    for name, sensor in zip(names, sensors, strict=True):
+        calibration = _calibration(sensor, name)
         inputs = cards.setdefault(device_of(sensor.channels), [])
         gauges.append((device_of(sensor.channels), 6 * len(inputs), calibration))
         inputs.append((sensor.channels, calibration.volts))
+    for what, values in (
+        ("channels", [sensor.channels for sensor in sensors]),
+        ("calibration", [calibration.serial for _, _, calibration in gauges]),
+    ):
+        if same := twins(dict(zip(names, values, strict=True))):
+            raise ConfigError(
+                f"{same[1]}.{what}: {same[0].rsplit('.')[-1]} has the same value '{values[names.index(same[1])]}';"
+                " give each tube its own sensor"
+            )
     wirings = [Wiring(list(cards).index(card), first, calibration) for card, first, calibration in gauges]
 
     def cards_opened() -> list[NiCard]:
@@ -338,6 +312,6 @@ def _calibration(sensor: CardFile, key: str) -> GaugeCalibration:
         raise ConfigError(f"{key}.calibration: {error}") from None
     if sensor.serial is not None and calibration.serial != sensor.serial:
         raise ConfigError(
-            f"{key}.serial = '{sensor.serial}': {sensor.calibration} is for '{calibration.serial}'; exchanged files?"
+            f"{key}.serial = '{sensor.serial}': {sensor.calibration} is for '{calibration.serial}'; wrong file?"
         )
     return calibration

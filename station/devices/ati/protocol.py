@@ -1,4 +1,4 @@
-"""Protocol of ATI Net F/T boxes, raw data transfer (RDT) by UDP: records, sequence, status, clock and samples; no I/O.
+"""Protocol of ATI Net F/T boxes, raw data transfer (RDT) by UDP: records, their sequence and status; without I/O.
 
 A record has no checksum except that of UDP. A wrong record is detected by the length of its datagram, by its two
 counters, which increase together, and by the clock. All numbers in datagrams are big-endian.
@@ -15,62 +15,12 @@ import numpy as np
 
 from core.compiled import compiled, copy
 from core.robot.robot import Array, Indices
+from station.devices.kernel.sampled import SampleClock, latest, observe
 
 SAMPLE_RATE_HZ = 7000.0  #: rate of the box's internal counter, +-0.5 % [1/s]
 LATENCY_S = 288e-6  #: time from a measurement until the box sends its record on the Ethernet [s]
-#: Rate at which the estimated offset rises between records [s/s]: above the box's largest clock error of 0.5 %.
+#: Largest drift of the box's clock that `SampleClock` assumes [s/s]: above the box's largest error of 0.5 %.
 MAX_CLOCK_DRIFT = 0.006
-OFFSET, SEEN, CONFIRMED, LATE = range(4)  #: indices in `SampleClock.state`
-
-
-class SampleClock:
-    """Converts the box's internal sample count to host time.
-
-    Records arrive with varying delays but never early. Therefore the least delayed records give the offset between the
-    counter and the host's clock. The remaining error is at most the time between two polls of the socket.
-    """
-
-    def __init__(self, latency: float = LATENCY_S) -> None:
-        #: For compiled code: host time at which the counter was 0, from the least delayed record; time of the last
-        #: record; time of the last record with the least delay; latency [s].
-        self.state = np.array([np.inf, 0.0, 0.0, latency])
-
-    @property
-    def is_set(self) -> bool:
-        """Whether at least one record was received."""
-        return bool(self.state[OFFSET] < np.inf)
-
-    def observe(self, count: int, now: float) -> float:
-        """Record that sample `count` was received at `now` [s], and return the time of its measurement [s]."""
-        return observe(self.state, count, now)
-
-    def doubt(self, now: float) -> float:
-        """Return the largest possible error of the offset at `now` [s]."""
-        return 2.0 * MAX_CLOCK_DRIFT * (now - float(self.state[CONFIRMED]))
-
-    def latest(self, now: float) -> float:
-        """Return the largest possible count at `now` [s]."""
-        return latest(self.state, now)
-
-
-@compiled
-def observe(clock: Array, count: int, now: float) -> float:
-    """Compiled code of `SampleClock.observe`, with the clock's state as first argument."""
-    offset = now - count / SAMPLE_RATE_HZ
-    drifted = clock[OFFSET] + MAX_CLOCK_DRIFT * (now - clock[SEEN])
-    if offset <= drifted:
-        clock[OFFSET], clock[CONFIRMED] = offset, now
-    else:
-        clock[OFFSET] = drifted
-    clock[SEEN] = now
-    return clock[OFFSET] + count / SAMPLE_RATE_HZ - clock[LATE]
-
-
-@compiled
-def latest(clock: Array, now: float) -> float:
-    """Compiled code of `SampleClock.latest`, with the clock's state as first argument."""
-    return (now - clock[OFFSET] + 2.0 * MAX_CLOCK_DRIFT * (now - clock[CONFIRMED])) * SAMPLE_RATE_HZ
-
 
 RDT_PORT = 49152  #: UDP port of a box
 
@@ -117,23 +67,21 @@ STATUS_BITS = {
     1: "HTTP",
 }
 
-#: Largest number of internal samples between two records, because the slowest stream has 50 records/s.
-MAX_STEP_SAMPLES = 140
+#: Smallest usable rate of the records [1/s], and the largest number of internal samples between two records.
+MIN_RECORD_RATE_HZ, MAX_STEP_SAMPLES = 50, 140
 #: Largest number of samples by which a record's counter may be ahead of the clock's estimate (jitter of the transport).
 MAX_AHEAD_SAMPLES = 140
-#: Numbers of consistent records that start a stream (evenly spaced), and that replace a stream by another sequence.
+#: Number of consistent, evenly spaced records that start a stream, and number that replace it by another sequence.
 RECORDS_TO_START, RECORDS_TO_REPLACE = 3, 10
 #: If a counter differs from the expected one by more than this time, the box was restarted or replaced [s].
 RESET_AFTER_S = 0.5
 
 
 class RdtCommand(IntEnum):
-    """Commands to the box; a new stream request replaces the last stream, even that of another client."""
+    """Commands to the box; a stream request also ends the present stream, even that of another client."""
 
     STOP = 0x0000
     STREAM = 0x0002  #: one record per datagram
-    STREAM_BUFFERED = 0x0003  #: several records per datagram
-    RESET_LATCH = 0x0041
     BIAS = 0x0042
 
 
@@ -142,7 +90,7 @@ class RdtSample(NamedTuple):
 
     time: float  #: time of the measurement, host clock [s]
     status: int
-    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz
+    counts: tuple[int, ...]  #: Fx Fy Fz Tx Ty Tz [counts]
 
 
 @dataclass
@@ -212,7 +160,7 @@ def follow(stream: Indices, clock: Array, datagram: bytes, now: float, limits: A
 
 @compiled
 def word(data: bytes, at: int) -> int:
-    """Return the number in four bytes, the most significant one first."""
+    """Return the unsigned number in four bytes from index `at` on, most significant byte first."""
     return data[at] << 24 | data[at + 1] << 16 | data[at + 2] << 8 | data[at + 3]
 
 
@@ -222,15 +170,24 @@ class Stream:
     def __init__(self, latency: float = LATENCY_S, requested: float = math.inf) -> None:
         """`latency`: usual delay of a record [s]; `requested`: time of the first request [s]; inf: unknown."""
         self._latency, self._requested = latency, requested
-        self._clock = SampleClock(latency)
+        self.clock = self._new_clock()
         self._late = 0.0  # largest possible delay of the clock's first record [s]
-        #: State for compiled code: RDT and FT sequence number of the last record; FT number without wrap-around;
-        #: internal samples per record, 0 if not evenly spaced; number of accepted records; number of mutually
-        #: consistent records outside the sequence; whether a record was accepted since the last request.
+        #: State for compiled code. RDT, FT: numbers of the last record; COUNT: its FT number without wrap-around; STEP:
+        #: internal samples per record, 0 if not evenly spaced; ACCEPTED: number of accepted records; CONSISTENT: number
+        #: of mutually consistent records outside the sequence; STARTED: whether the last request has had a record.
         self._state = np.zeros(7, dtype=np.int64)
         self._out_of_order: tuple[int, ...] | None = None  # the last record outside the sequence
-        self._candidate = 0.0
+        self._candidate = self._slow = 0.0  # internal samples per record: of a new stream, and of one that is too slow
         self._counters = Counters()
+
+    def _new_clock(self) -> SampleClock:
+        return SampleClock(SAMPLE_RATE_HZ, MAX_CLOCK_DRIFT, self._latency, SEQUENCE_WRAP)
+
+    @property
+    def record_rate(self) -> float | None:
+        """Rate at which the box sends records [1/s]; None: unknown."""
+        step = self._slow or float(self._state[STEP])
+        return SAMPLE_RATE_HZ / step if step else None
 
     @property
     def counters(self) -> Counters:
@@ -239,14 +196,14 @@ class Stream:
         return self._counters
 
     def restart(self) -> None:
-        """Prepare for a new stream request, after which the records are numbered from 1 again."""
+        """Prepare for a new stream request, after which the box numbers its records from 1 again."""
         self._state[STARTED] = self._state[CONSISTENT] = 0
         self._out_of_order = None
 
     @property
     def state(self) -> tuple[Indices, Array]:
         """State arrays of the stream and of its clock, for `follow`; a reset of the box replaces the clock's array."""
-        return self._state, self._clock.state
+        return self._state, self.clock.state
 
     def feed(self, datagram: bytes, now: float) -> list[RdtSample]:
         """Process a datagram that has arrived by `now` [s]; return its consistent samples."""
@@ -267,7 +224,7 @@ class Stream:
             samples = fields[1] - ft & SEQUENCE_WRAP - 1
             if steps and (samples == step * steps if step else steps <= samples <= MAX_STEP_SAMPLES * steps):
                 count = last + samples
-                if count <= self._clock.latest(now) + MAX_AHEAD_SAMPLES:
+                if count <= self.clock.latest(now) + MAX_AHEAD_SAMPLES:
                     self._counters.lost += steps - 1
                     return self._accept(fields, count, now)
             if steps == 0:
@@ -283,13 +240,17 @@ class Stream:
         state = self._state
         state[RDT], state[FT], state[COUNT], state[STARTED], state[CONSISTENT] = fields[0], fields[1], count, 1, 0
         state[ACCEPTED] += 1
-        self._out_of_order = None
-        return RdtSample(self._clock.observe(count, now), fields[2], fields[3:])
+        self._out_of_order, self._slow = None, 0.0
+        return RdtSample(self.clock.observe(count, now), fields[2], fields[3:])
 
     def _consider(self, fields: tuple[int, ...], now: float) -> RdtSample | None:
         """Restart the stream at this record if enough records outside the sequence are mutually consistent."""
         before, self._out_of_order = self._out_of_order, fields
         ratio, started = _ratio(before, fields), bool(self._state[STARTED])
+        if ratio > MAX_STEP_SAMPLES:
+            self._candidate, self._slow = ratio, ratio if ratio == self._candidate else 0.0
+            self._state[CONSISTENT] = 1
+            return None
         consistent = int(self._state[CONSISTENT]) + 1 if ratio else 1
         self._state[CONSISTENT] = consistent
         self._candidate = ratio if consistent == 2 or ratio == self._candidate else 0.0
@@ -298,16 +259,15 @@ class Stream:
         self._counters.resyncs += started
         self._state[STEP] = int(self._candidate) if self._candidate == int(self._candidate) else 0
         count = fields[1]
-        if self._clock.is_set:
-            expected = round(self._clock.latest(now))
-            off = (count - expected + SEQUENCE_WRAP // 2) % SEQUENCE_WRAP - SEQUENCE_WRAP // 2
+        if self.clock.is_set:
+            count = self.clock.unwrapped(count, now)
+            off = count - round(self.clock.latest(now))
             # The first record may have waited, for instance on a busy computer; the clock is then late by that time.
             late = self._late if off > 0 else 0.0
-            if abs(off) / SAMPLE_RATE_HZ <= RESET_AFTER_S + self._clock.doubt(now) + late:
-                count = expected + off
-            else:
+            if abs(off) / SAMPLE_RATE_HZ > RESET_AFTER_S + self.clock.doubt(now) + late:
+                count = fields[1]
                 self._counters.resets += 1
-                self._clock = SampleClock(self._latency)
+                self.clock = self._new_clock()
         else:
             self._late = max(0.0, now - self._requested)
         return self._accept(fields, count, now)
@@ -319,7 +279,7 @@ def _ratio(before: tuple[int, ...] | None, after: tuple[int, ...]) -> float:
         return 0.0
     steps = after[0] - before[0] & SEQUENCE_WRAP - 1
     samples = after[1] - before[1] & SEQUENCE_WRAP - 1
-    return samples / steps if steps and steps <= samples <= MAX_STEP_SAMPLES * steps else 0.0
+    return samples / steps if steps and steps <= samples else 0.0
 
 
 #: Samples stored per sensor: those of several ticks at the highest record rate.

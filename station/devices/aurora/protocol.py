@@ -17,7 +17,7 @@ from typing import NamedTuple
 from core.compiled import compiled
 from core.errors import CtrError
 
-#: Codes of the rates [bit/s] in the command COMM; after power-up the unit uses 9600.
+#: Code of each baud rate [bit/s] in the command COMM; after power-up the unit uses 9600.
 BAUD_CODES = {
     9600: "0",
     14400: "1",
@@ -155,7 +155,7 @@ SYSTEM_FAULTS = {
 }
 HARDWARE_FAILURE, PORT_OCCUPIED = 0x10, 0x40
 
-#: Human-readable error replies.
+#: Meaning of the number in an ERROR reply.
 ERRORS = {
     0x01: "invalid command",
     0x02: "command too long",
@@ -197,8 +197,8 @@ class ToolState(Enum):
 class Transform(NamedTuple):
     """Pose of a tool in the field generator's frame."""
 
-    quaternion: tuple[float, ...]  #: q0 qx qy qz, unit
-    position: tuple[float, ...]  #: x y z [mm]
+    quaternion: tuple[float, ...]  #: unit quaternion q0 qx qy qz
+    position: tuple[float, ...]  #: position x y z [mm]
     error: float  #: the unit's error indicator of the fit [mm]
 
     @property
@@ -219,7 +219,7 @@ class ToolFrame(NamedTuple):
 
     handle: int
     state: ToolState
-    transform: Transform | None  #: only when VALID
+    transform: Transform | None  #: None unless `state` is VALID
     port_status: int = 0
     frame: int | None = None  #: None if the reply has no frame number
 
@@ -239,7 +239,7 @@ class FrameReply(NamedTuple):
 
 
 def _transform(values: tuple[float, ...], handle: int) -> Transform:
-    """Return the transform; raise for numbers outside the tracker's range, as one error in 65536 passes the CRC."""
+    """Return the transform; raise for numbers out of range, because one damaged reply in 65536 passes the CRC."""
     if not all(map(math.isfinite, values)):
         raise AuroraError(f"handle {handle:02X}: the transform is not finite")
     norm = math.hypot(*values[:4])
@@ -249,7 +249,7 @@ def _transform(values: tuple[float, ...], handle: int) -> Transform:
         if abs(value) > LARGEST_COORDINATE:
             raise AuroraError(f"handle {handle:02X}: {axis} = {value:.6g} mm is beyond {LARGEST_COORDINATE:g} mm")
     if not 0.0 <= values[7] <= LARGEST_ERROR:
-        raise AuroraError(f"handle {handle:02X}: error {values[7]:.4g} is not within 0 ... {LARGEST_ERROR:g}")
+        raise AuroraError(f"handle {handle:02X}: error {values[7]:.4g} mm is not within 0 ... {LARGEST_ERROR:g} mm")
     return Transform(values[:4], values[4:7], values[7])
 
 
@@ -287,8 +287,9 @@ def parse_bx(body: bytes) -> FrameReply:
     return FrameReply(tuple(tools), system)
 
 
+#: Entry of a handle in a TX reply. As in the public client ndicapi, DISABLED may lack status and frame number.
 _TX_TOOL = re.compile(
-    r"([0-9A-F]{2})(?:(UNOCCUPIED)\n?|"
+    r"([0-9A-F]{2})(?:(UNOCCUPIED|DISABLED(?=\n))\n?|"
     r"(?:(MISSING|DISABLED)|((?:[+-]\d{5}){4}(?:[+-]\d{6}){3}[+-]\d{5}))([0-9A-F]{8})([0-9A-F]{8})\n)"
 )
 _TX_FIELDS = (*((i, i + 6, 1e4) for i in (0, 6, 12, 18)), *((i, i + 7, 1e2) for i in (24, 31, 38)), (45, 51, 1e4))
@@ -309,7 +310,7 @@ def parse_tx(text: str) -> FrameReply:
         handle = int(match[1], 16)
         at = match.end()
         if match[2]:
-            tools.append(ToolFrame(handle, ToolState.UNOCCUPIED, None))
+            tools.append(ToolFrame(handle, ToolState[match[2]], None))
             continue
         transform = None
         if match[4]:
@@ -333,14 +334,19 @@ def parse_phsr(text: str) -> list[tuple[int, int]]:
     ]
 
 
+PHINF_LENGTHS = (33, 47)  #: lengths of PHINF replies without and with the port of the tool
+
+
 class ToolIdentity(NamedTuple):
-    """Content of a PHINF reply with reply option 0001."""
+    """Content of a PHINF reply with reply option 0001, with or without 0020."""
 
     kind: str  #: tool type, 8 characters
     maker: str
     revision: str
     serial: str
     status: int
+    port: int | None = None  #: number of the tool's port; None: unknown
+    channel: int | None = None  #: number of the coil in its plug; None: unknown
 
 
 def parse_phinf(text: str) -> ToolIdentity | None:
@@ -351,10 +357,15 @@ def parse_phinf(text: str) -> ToolIdentity | None:
     """
     if text == "UNOCCUPIED":
         return None
-    if len(text) != 33:
-        raise AuroraError(f"PHINF reply of {len(text)} characters, not 33")
+    if len(text) not in PHINF_LENGTHS:
+        raise AuroraError(f"PHINF reply of {len(text)} characters, not {' or '.join(map(str, PHINF_LENGTHS))}")
     kind, maker, revision, serial = (text[a:b].strip() for a, b in ((0, 8), (8, 20), (20, 23), (23, 31)))
-    return ToolIdentity(kind, maker, revision, serial, _hex(text[31:], 2, "status"))
+    status, place = _hex(text[31:33], 2, "status"), text[33:]
+    if not place:
+        return ToolIdentity(kind, maker, revision, serial, status)
+    # `place`: number of the unit (8 characters), its kind, whether the tool is wireless, port (decimal), and channel.
+    port = int(place[10:12]) if place[10:12].isdecimal() else None
+    return ToolIdentity(kind, maker, revision, serial, status, port, _hex(place[12:], 2, "channel"))
 
 
 def error_code(text: str) -> int | None:

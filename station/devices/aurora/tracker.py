@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -14,14 +13,15 @@ from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, NotNegative, Strict, check
-from station.devices.aurora.dialogue import AuroraSettings, RateChange, SerialBreak
+from station.devices.aurora.dialogue import ANY_COIL, AuroraSettings, Coil, RateChange, SerialBreak
 from station.devices.aurora.protocol import POWER_UP_BAUD, ToolIdentity
-from station.devices.aurora.session import AuroraSession, FrameQuality, TrackerFrame
+from station.devices.aurora.session import MAX_UNREADABLE_BYTES, AuroraSession, TrackerFrame
 from station.devices.config import Mount, Serial
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
+from station.devices.kernel.quality import Quality, Sampled, quoted, sample_fault
 from station.devices.links.link import Link, LinkError, SerialLink, reopen
 
-#: The tracker counts as silent after this time without a new frame, which is four frames [s].
+#: The tracker counts as silent after this time without a new frame [s]: the duration of four frames.
 SILENCE_TIMEOUT_S = 0.1
 #: A motion ends in the state HOLD after this time without a good position [s].
 BLIND_TIMEOUT_S = 0.25
@@ -31,27 +31,10 @@ BLIND_TIMEOUT_S = 0.25
 TrackerMounting = RigidTransform
 
 
-#: What has happened when the newest frame has each quality; a time may follow.
-HAPPENED = MappingProxyType(
-    {
-        # The newest frame is good but old: the unit or this computer was delayed.
-        FrameQuality.GOOD: "the tracker's positions are late: there was no new one",
-        FrameQuality.MISSING: "the tracker lost the coil",
-        FrameQuality.OUT_OF_VOLUME: "the coil was outside the tracker's volume",
-        FrameQuality.DISABLED: "the tracker's coil was disabled or unplugged",
-        FrameQuality.JUMP: "the tracker's positions jumped, and no valid one arrived",
-        FrameQuality.FAULT: "the tracker reported a fault of the coil or of itself",
-        FrameQuality.SILENT: "the tracker was silent",
-        FrameQuality.CONNECTING: "the tracker is still starting",
-        FrameQuality.LOST: "the connection to the tracker is lost, and there was no position",
-    }
-)
-
-
 class TrackerReport(NamedTuple):
     """State of the tracker, from which the driver determines its fault."""
 
-    quality: FrameQuality
+    quality: Quality
     good_age: float  #: time since the last good position was measured; infinite before the first one [s]
     trouble: str  #: human-readable reason of a problem; empty if there is none
 
@@ -89,28 +72,33 @@ class AuroraTracker:
 
     def trouble(self, now: float) -> DeviceFault | None:
         """Return a WARN after 0.1 s without a good position, and a HOLD after 0.25 s or if the port is lost."""
-        if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost:
-            return self._target_trouble(now) if self._settings.target_serial else None
-        report = self.report(now)
-        severity = Severity.HOLD if self._lost or report.good_age > BLIND_TIMEOUT_S else Severity.WARN
-        text = HAPPENED[report.quality] + ("" if math.isinf(report.good_age) else f" for {report.good_age:.2f} s")
-        if report.trouble and report.quality is FrameQuality.CONNECTING:
-            text = f"the tracker cannot start: {report.trouble}"
-        details = f"tracker on {self._link.name}: {report.quality.name.lower().replace('_', ' ')}"
-        return DeviceFault(severity, text, f"{details}{report.trouble and ', '}{report.trouble}")
+        rate = self._session.clock.wrong_rate
+        if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost and rate is None:
+            return None if self._settings.target is None else self._target_trouble(now, self._settings.target)
+        quality, age, trouble = self.report(now)
+        because = ""
+        if quality is Quality.CONNECTING and trouble:
+            because = f"cannot start: {trouble}"
+        elif quality is Quality.WRONG_RATE:
+            because = (
+                f"measures about {rate:.3g} frames/s, and 'frame_rate' is {self._settings.frame_rate:g}: set"
+                " 'frame_rate' to the rate of this unit"
+            )
+        elif quality is Quality.UNREADABLE:
+            because = f"sends {quoted(self._session.dialogue.unreadable)}, which is no frame{{since}}: check the cable"
+        details = f"tracker on {self._link.name}: {', '.join(quality.words or ['late'])}{trouble and ', '}{trouble}"
+        return sample_fault([Sampled("the tracker", quality, age, details, because)], BLIND_TIMEOUT_S)
 
-    def _target_trouble(self, now: float) -> DeviceFault | None:
+    def _target_trouble(self, now: float, target: Coil) -> DeviceFault | None:
         """Return a warning if the configured target has no good position."""
-        serial, age = self._settings.target_serial, now - self._target_time
+        age = now - self._target_time
         if age <= SILENCE_TIMEOUT_S:
             return None
-        what = self._session.target_quality.name.lower().replace("_", " ")
+        what = " ".join(self._session.target_quality.words)
         if self._session.dialogue.target is None:
-            what = (
-                f"not plugged in; connected tools: {', '.join(t.serial for t in self._session.dialogue.tools.values())}"
-            )
+            what = f"not plugged in; connected tools: {self._session.dialogue.connected}"
         since = "" if math.isinf(age) else f"; no good position for {age:.2f} s"
-        text = f"the tracker does not measure the target {serial}: {what}{since}"
+        text = f"the tracker does not measure the target {target}: {what}{since}"
         return DeviceFault(Severity.WARN, text, f"tracker on {self._link.name}")
 
     def details(self) -> Mapping[str, Any]:
@@ -120,7 +108,7 @@ class AuroraTracker:
             "port": self._link.name,
             "firmware": session.dialogue.firmware,
             "tool": None if self._tool is None else self._tool._asdict(),
-            **({"target": session.dialogue.target is not None} if self._settings.target_serial else {}),
+            **({"target": session.dialogue.target is not None} if self._settings.target else {}),
             **vars(session.counts),
             "noise_bytes": session.reader.noise,
             "crc_errors": session.reader.crc_errors,
@@ -167,17 +155,24 @@ class AuroraTracker:
         """Return the state of the tracker at `now` [s]."""
         session = self._session
         quality, trouble = session.quality, session.dialogue.trouble
+        silent = now - session.last_arrival
         if self._lost:
-            quality, trouble = FrameQuality.LOST, self._lost
-        elif session.tracking and now - session.last_arrival > SILENCE_TIMEOUT_S:
-            quality = FrameQuality.SILENT
-            trouble = trouble or f"no new frame for {now - session.last_arrival:.2f} s"
+            quality, trouble = Quality.LOST, self._lost
+        elif (
+            session.tracking
+            and session.clock.wrong_rate is not None
+            and (quality.is_usable or silent > SILENCE_TIMEOUT_S)
+        ):
+            quality = Quality.WRONG_RATE
+        elif session.tracking and silent > SILENCE_TIMEOUT_S:
+            quality = Quality.UNREADABLE if len(session.dialogue.unreadable) == MAX_UNREADABLE_BYTES else Quality.SILENT
+            trouble = trouble or f"no new frame for {silent:.2f} s"
         return TrackerReport(quality, now - self._good_time, trouble)
 
     def attach(self, link: Link) -> None:
         """Start a new session on another link after a loss; the session accepts only the same coil at the tip."""
-        if self._tool is not None:
-            self._settings = replace(self._settings, tool_serial=self._tool.serial)
+        if self._tool is not None and not self._settings.tool.serial:
+            self._settings = replace(self._settings, tool=self._settings.tool._replace(serial=self._tool.serial))
         self._link, self._lost = link, ""
         self._good_time = self._target_time = -math.inf
         self._session = AuroraSession(self._settings)
@@ -192,7 +187,7 @@ class AuroraTracker:
         self._link.close()
 
     def _carry_out(self, order: bytes | RateChange | SerialBreak) -> None:
-        """Execute a command to the port; a link without baud rate or break ignores such a command."""
+        """Execute a command to the port; a link that has no baud rate or no break ignores the command to change it."""
         if isinstance(order, bytes):
             self._link.write(order)
         elif isinstance(order, RateChange):
@@ -205,15 +200,28 @@ class AuroraTracker:
                 set_break(order.low)
 
 
+PortNumber = Annotated[int, Field(ge=1, le=255)]
+Channel = Annotated[int, Field(ge=0, le=255)]
+
+
 class AuroraFile(Strict):
     """NDI Aurora tracker."""
 
     port: Serial
     """serial port of the tracker"""
     tool: str = ""
-    """serial number of the coil at the tip, as the tracker reports it; "": the first tool"""
+    """serial number of the coil at the tip, as the tracker reports it; "": any"""
+    tool_port: PortNumber | None = None
+    """number of the tracker's port into which the coil at the tip is plugged; default: any"""
+    tool_channel: Channel | None = None
+    """channel of the coil at the tip, 0 or 1: two coils in one plug have the same serial number; default: any"""
     target: str = ""
-    """serial number of a second coil, on the target of the motion `follow`; "": no second coil"""
+    """serial number of a second coil, on the target of the motion `follow`; "": any if `target_port` or
+    `target_channel` is set, else no second coil"""
+    target_port: PortNumber | None = None
+    """number of the port of the target's coil; default: any"""
+    target_channel: Channel | None = None
+    """channel of the target's coil; default: any"""
     baud: int = AuroraSettings.baud
     """baud rate to which the driver switches; the tracker must support this rate [bit/s]"""
     frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
@@ -231,13 +239,14 @@ class AuroraFile(Strict):
 
 
 def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraTracker]:  # noqa: ARG001
-    """Return the opener of an NDI Aurora; raises ConfigError."""
+    """Check the options, and return the function that opens an NDI Aurora; raises ConfigError."""
     key = "devices.tracker"
     file = check(AuroraFile, options, key)
+    target = Coil(file.target, file.target_port, file.target_channel)
     try:
         settings = AuroraSettings(
-            tool_serial=file.tool,
-            target_serial=file.target,
+            tool=Coil(file.tool, file.tool_port, file.tool_channel),
+            target=None if target == ANY_COIL else target,
             baud=file.baud,
             frame_rate=file.frame_rate,
             latency=file.latency,
@@ -246,7 +255,7 @@ def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraT
             fault_bits=file.fault_bits,
         )
     except CtrError as error:
-        wrong = f"target = '{file.target}'" if file.target and file.target == file.tool else f"baud = {file.baud}"
+        wrong = f"target = '{file.target}'" if "the target's" in str(error) else f"baud = {file.baud}"
         raise ConfigError(f"{key}.{wrong}: {error}") from None
     registration = TrackerMounting(file.mount.rotation, np.array(file.mount.position))
     return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration)

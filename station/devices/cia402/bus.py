@@ -1,7 +1,7 @@
 """The host's side of a CAN bus of drives: cyclic velocities, positions, requests, heartbeat. Without I/O.
 
-Every period the host sends one SYNC, at which all drives measure their position and send it with their statusword, and
-then the controlword and the velocity of each drive. A stop precedes all other frames.
+In every period the host sends one SYNC, then the controlword and the velocity of each drive. At the SYNC every drive
+measures its position, and sends it with its statusword. A stop precedes all other frames.
 """
 
 import math
@@ -13,6 +13,7 @@ from station.devices.cia402.protocol import (
     COMMAND,
     EMERGENCY,
     ENABLE,
+    ENABLED,
     FAULT_BIT,
     HEARTBEAT,
     HOST_NODE,
@@ -21,6 +22,8 @@ from station.devices.cia402.protocol import (
     OPERATIONAL,
     QUICK_STOP,
     SDO_REPLY,
+    SDO_REQUEST,
+    SERIAL_NUMBER,
     STATE_MASK,
     STATUS,
     STOPPED,
@@ -34,18 +37,17 @@ from station.devices.cia402.protocol import (
     upload,
 )
 from station.devices.cia402.setup import DEADLINE_S, DriveSetup
-from station.devices.stages_on_line import AxisLost
-from station.devices.zaber.chain import LineCounts
-from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
+from station.devices.kernel.estimate import AxisEstimate
+from station.devices.kernel.line import AxisLost, LineAxes, TwoDevices, UnexpectedMotion
 
 PERIOD_S = 0.004  #: time between two SYNCs; six drives use 40 % of the bus [s]
 HEARTBEAT_S = 0.020  #: time between two heartbeats of the host [s]
-MAX_UNANSWERED = 3  #: SYNCs without a position after which the next position counts as the answer to the next SYNC
+MAX_UNANSWERED = 3  #: SYNCs without an answer after which the next position is assigned to the next SYNC
 MAX_SDO_S = 0.5  #: longest time from a request to its answer; a drive may store a value meanwhile [s]
 
 
 class Request(NamedTuple):
-    """Reads an object of a drive; writes it if a `value` of `size` bytes is given."""
+    """Request to read an object of a drive, or to write a `value` of `size` bytes to the object."""
 
     axis: int
     entry: tuple[int, int]
@@ -80,13 +82,14 @@ class InFault(NamedTuple):
     axis: int
 
 
-class UnexpectedMotion(NamedTuple):
-    """Event: an axis does not move as commanded."""
+class SwitchedOff(NamedTuple):
+    """Event: a drive that receives velocities is switched off, but not by the host."""
 
     axis: int
+    status: int  #: statusword
 
 
-Event = Answer | AxisLost | Restarted | Emergency | InFault | UnexpectedMotion
+Event = Answer | AxisLost | Restarted | Emergency | InFault | SwitchedOff | TwoDevices | UnexpectedMotion
 
 
 class DriveBus:
@@ -95,17 +98,13 @@ class DriveBus:
     def __init__(self, setups: Sequence[DriveSetup], deadline: float = DEADLINE_S) -> None:
         self.setups, self.reader = tuple(setups), FrameReader()
         count = range(len(self.setups))
-        #: Estimates of the positions, counted from each axis's minimum [counts].
-        self.estimates = [
-            AxisEstimate(s.top * s.velocity_unit, s.acceleration * s.velocity_unit, s.maximum - s.minimum)
+        self.axes = LineAxes(
+            AxisEstimate(s.top * s.velocity_unit, s.acceleration * s.acceleration_unit, s.maximum - s.minimum)
             for s in self.setups
-        ]
-        self.counts = [LineCounts() for _ in count]
-        self.sent = [0 for _ in count]  #: last velocity sent to each axis [velocity unit]
+        )
         self.status = [0 for _ in count]  #: last statusword of each axis
-        self.lost: set[int] = set()  #: axes that no longer answer
-        self.stopping: set[int] = set()  #: axes that have not confirmed their stop
-        self.driven: set[int] = set()  #: axes that receive velocities; a request controls the others
+        self.driven: set[int] = set()  #: axes that receive velocities; requests control all other axes
+        self._on: set[int] = set()  # axes of `driven` that have reported that they are switched on
         self._deadline = deadline
         self._axis = {setup.node: i for i, setup in enumerate(self.setups)}
         self._desired = [0 for _ in count]
@@ -121,7 +120,7 @@ class DriveBus:
         self._urgent = False
         self._next_cycle = self._next_heartbeat = self._free = -math.inf
 
-    # Commands of the driver
+    # Commands from the driver
 
     def command(self, axis: int, speed: int) -> None:
         """Set the velocity of an axis [velocity unit]; the next cycle sends the latest velocity."""
@@ -134,20 +133,29 @@ class DriveBus:
         """Stop all axes before any other frame, by a quick stop that each cycle repeats until the next velocity."""
         self._desired = [0 for _ in self.setups]
         self.cancel()
-        reachable = self._cyclic - self.lost
+        reachable = self._cyclic - self.axes.lost
         if all(self._quick[i] for i in reachable) and self.driven >= reachable:
             return
         self._urgent, self._quick = True, [True for _ in self.setups]
         self.driven |= self._cyclic
-        self.stopping = set(reachable)
+        self.axes.stopping = dict.fromkeys(reachable, 0.0)
+
+    def open_adapter(self) -> None:
+        """Open the adapter again, because it may have been starting at the first attempt."""
+        self._extra.append(OPEN_ADAPTER)
 
     def start_cycle(self, axis: int) -> None:
         """Expect an answer of the axis to each SYNC, from the next one on."""
         self._cyclic.add(axis)
         self._answered[axis] = math.inf
 
+    def release(self, axis: int) -> None:
+        """Let requests control an axis, which receives no velocities until it is in `driven` again."""
+        self.driven.discard(axis)
+        self._on.discard(axis)
+
     def manage(self, axis: int, command: int) -> None:
-        """Send a command of network management to a drive."""
+        """Send a command of CANopen's network management to a drive."""
         self._extra.append(encode(Frame(NMT, bytes([command, self.setups[axis].node]))))
 
     def send_request(self, request: Request) -> None:
@@ -158,27 +166,19 @@ class DriveBus:
         """Cancel the pending request."""
         self._request = None
 
-    def give_up(self) -> None:
-        """Count every axis as lost, because the port is lost."""
-        self.stopping.clear()
-        self.lost |= set(range(len(self.setups)))
-
-    # Bytes and time in
+    # Input: received bytes and the time
 
     def feed(self, data: bytes, now: float) -> list[Event]:
         """Process bytes that have arrived by `now` [s], detect missing replies, and return events."""
-        for estimate in self.estimates:
-            estimate.advance(now)
+        self.axes.advance(now)
         events: list[Event] = []
         for frame in self.reader.feed(data) if data else ():
             self._take(frame, events, now)
-        for i in self._cyclic - self.lost:
+        for i in self._cyclic - self.axes.lost:
             if now - self._answered[i] > self._deadline:
-                self.lost.add(i)
-                self.stopping.discard(i)
-                events.append(AxisLost(i, f"no position for {1e3 * (now - self._answered[i]):.0f} ms"))
+                self.axes.lose(i, f"no position for {1e3 * (now - self._answered[i]):.0f} ms", events)
         if self._requested is not None and self._request is not None and now - self._requested > MAX_SDO_S:
-            self.counts[self._request.axis].missed += 1
+            self.axes.counts[self._request.axis].missed += 1
             self._request = None
             events.append(Answer(missing=True))
         return events
@@ -194,9 +194,13 @@ class DriveBus:
             case base if base == SDO_REPLY:
                 reply, request = sdo_reply(data), self._request
                 pending = request is not None and self._requested is not None and request.axis == i
+                if reply and reply.accepted and reply.entry == SERIAL_NUMBER:
+                    self.axes.identified(i, "serial number", reply.value, events)
                 if reply and pending and request and reply.entry == request.entry:
                     self._request = None
                     events.append(Answer(reply.accepted, reply.value))
+            case base if base == SDO_REQUEST:  # an echo of the host's own request
+                self.reader.dropped.add(encode(frame))
             case base if base == EMERGENCY and len(data) == 8 and data[:2] != b"\0\0":
                 events.append(Emergency(i, int.from_bytes(data[:2], "little")))
             case base if base == HEARTBEAT and data == bytes([BOOT_UP]) and i in self._cyclic:
@@ -205,24 +209,23 @@ class DriveBus:
     def _read(self, i: int, data: bytes, events: list[Event], now: float) -> None:
         """Process statusword and position of an axis."""
         status, position = int.from_bytes(data[:2], "little"), signed(int.from_bytes(data[2:], "little"))
-        estimate, before, last = self.estimates[i], self.status[i], self._last[i]
+        before, last = self.status[i], self._last[i]
         self.status[i], self._last[i], self._answered[i], self._unanswered[i] = status, position, now, 0
-        if status & before & FAULT_BIT:  # twice, because a line of the adapter may be damaged
+        # A state counts when two frames in a row report it, because a line of the adapter may be damaged.
+        if status & before & FAULT_BIT:
             events.append(InFault(i))
-        if i in self.stopping and status & STATE_MASK == STOPPED and position == last:
-            self.stopping.remove(i)
-        if not self._marked[i]:
-            return
-        self._marked[i] = False
-        if estimate.correct(position - self.setups[i].minimum):
-            self.counts[i].readings += 1
-            return
-        self.counts[i].rejected += 1
-        if estimate.rejected >= MAX_UNEXPECTED_READINGS:
-            estimate.forget()
-            events.append(UnexpectedMotion(i))
+        elif status & STATE_MASK in (ENABLED, STOPPED):
+            self._on |= {i} & self.driven
+        elif i in self._on and before & STATE_MASK not in (ENABLED, STOPPED):
+            self._on.discard(i)
+            events.append(SwitchedOff(i, status))
+        if i in self.axes.stopping and status & STATE_MASK == STOPPED and position == last:
+            del self.axes.stopping[i]
+        if self._marked[i]:
+            self._marked[i] = False
+            self.axes.correct(i, position - self.setups[i].minimum, events)
 
-    # Bytes out
+    # Output: bytes to send
 
     def is_free(self, now: float) -> bool:
         """Return whether there is something to send at `now` [s]."""
@@ -270,8 +273,8 @@ class DriveBus:
         if math.isinf(self._answered[i]):
             self._answered[i] = now
         if not 0 < self._unanswered[i] <= MAX_UNANSWERED:
-            self.counts[i].polls += 1
-            self.estimates[i].expect(self._free)
+            self.axes.counts[i].polls += 1
+            self.axes.estimates[i].expect(self._free)
             self._marked[i], self._unanswered[i] = True, 0
         self._unanswered[i] += 1
 
@@ -283,10 +286,10 @@ class DriveBus:
             word = QUICK_STOP if self._quick[i] else ENABLE
             data = word.to_bytes(2, "little") + speed.to_bytes(4, "little", signed=True)
             lines.append(self._line(Frame(COMMAND + setup.node, data)))
-            self.counts[i].velocities += 1
-            if speed != self.sent[i]:
-                self.sent[i] = speed
-                self.estimates[i].command(speed * setup.velocity_unit, self._free)
+            self.axes.counts[i].velocities += 1
+            if speed != self.axes.sent[i]:
+                self.axes.sent[i] = speed
+                self.axes.estimates[i].command(speed * setup.velocity_unit, self._free)
         return lines
 
     def _line(self, frame: Frame) -> bytes:

@@ -1,42 +1,36 @@
 """Emergency stop of CANopen drives without the control process, directly through their adapter.
 
-The quick stop of all drives is repeated until each drive reports its stop. Without this module the drives stop by
-themselves, because the heartbeat of the control process is missing.
+The quick stop of all drives is repeated until each drive reports that it is stopped, and the same position twice.
+If this stop fails, the drives still stop by themselves, because the heartbeat of the control process is missing.
 """
 
-from collections.abc import Mapping, Set
-from functools import partial
-from typing import Any
+import itertools
+import math
+from collections.abc import Set
 
-from station.config.robots import RobotFile
-from station.config.strict import check
 from station.devices.cia402.protocol import (
     COMMAND,
+    CONTROLWORD,
     ENABLED,
     OPEN_ADAPTER,
+    POSITION,
     QUICK_STOP,
+    SDO_REPLY,
     STATE_MASK,
-    STATUS,
-    SYNC,
+    STATUSWORD,
     Frame,
     FrameReader,
+    download,
     encode,
+    sdo_reply,
+    upload,
 )
-from station.devices.cia402.setup import Cia402File
-from station.devices.cia402.stages import BAUD, drive_setups
-from station.devices.interfaces import Clock, EmergencyStop
-from station.devices.links.link import SerialLink, lock_file
-from station.devices.stop_on_port import TIMEOUT_S, stop_on_port
+from station.devices.interfaces import Clock
+from station.devices.kernel.emergency import TIMEOUT_S, stop_on_port
+from station.devices.links.link import SerialLink
 
-REPEAT_INTERVAL_S = 0.02  #: interval of quick stops and SYNCs [s]
-
-
-def cia402_emergency_stop(options: Mapping[str, Any], robot: RobotFile) -> EmergencyStop:
-    """Return the emergency stop of the drives in `[devices.stages]`."""
-    file = check(Cia402File, options, "devices.stages")
-    nodes = {setup.node for setup in drive_setups(file, robot, "devices.stages")}
-    lock_file(file.port)  # finds the folder for temporary files now, because the search writes a test file there
-    return partial(stop_drives, file.port, nodes)
+BAUD = 1_000_000  #: rate of adapters with a real serial port; those with USB ignore it [bit/s]
+REPEAT_INTERVAL_S = 0.02  #: interval of quick stops and requests [s]
 
 
 def stop_drives(port: str, nodes: Set[int], clock: Clock, patience: float = TIMEOUT_S) -> str:
@@ -45,23 +39,33 @@ def stop_drives(port: str, nodes: Set[int], clock: Clock, patience: float = TIME
     Raises:
         NotStopped: a drive has not reported that it is at rest.
     """
-    reader, last, moving, drives = FrameReader(), dict[int, bytes](), set(nodes), f"{len(nodes)} drives"
-    stop = b"".join(
-        encode(Frame(COMMAND + node, QUICK_STOP.to_bytes(2, "little") + bytes(4))) for node in sorted(nodes)
-    )
+    reader, moving, drives = FrameReader(), set(nodes), f"{len(nodes)} drives"
+    last, enabled = dict.fromkeys(nodes, math.nan), set(nodes)  # positions, and drives that are not known to be stopped
+    stop = QUICK_STOP.to_bytes(2, "little")
+    # Some time after the last heartbeat of the control process, the drives execute only SDOs, and one at a time.
+    requests = itertools.cycle((None, STATUSWORD, POSITION))
 
     def confirmed(link: SerialLink) -> bool:
+        entry = next(requests)
+        asked = [
+            upload(node, entry) if entry else download(node, CONTROLWORD, QUICK_STOP, 2) for node in sorted(moving)
+        ]
+        link.write(b"".join(map(encode, asked)))
         clock.sleep(REPEAT_INTERVAL_S)
         for identifier, data in reader.feed(link.read()):
-            node, word = identifier - STATUS, int.from_bytes(data[:2], "little")
-            if node in moving and len(data) == 6:
-                if word & STATE_MASK != ENABLED and last.get(node) == data[2:]:
+            node, reply = identifier - SDO_REPLY, sdo_reply(data)
+            if node not in moving or reply is None or not reply.accepted:
+                continue
+            if reply.entry == STATUSWORD and reply.value & STATE_MASK != ENABLED:
+                enabled.discard(node)
+            elif reply.entry == POSITION:
+                if node not in enabled and last[node] == reply.value:
                     moving.discard(node)
-                last[node] = data[2:]
+                last[node] = reply.value
         return not moving
 
     def unconfirmed() -> str:
         return f"node {', '.join(map(str, sorted(moving)))}"
 
-    stop += encode(Frame(SYNC, b""))
-    return stop_on_port(port, BAUD, stop, confirmed, clock, patience, drives, unconfirmed, OPEN_ADAPTER)
+    frames = b"".join(encode(Frame(COMMAND + node, stop + bytes(4))) for node in sorted(nodes))
+    return stop_on_port(port, BAUD, frames, confirmed, clock, patience, drives, unconfirmed, OPEN_ADAPTER)

@@ -8,13 +8,15 @@ import re
 from typing import NamedTuple
 
 from core.errors import CtrError
+from station.devices.kernel.line import Unread
 
 BIT_TIME_S = 1e-6  #: duration of a bit at 1 Mbit/s [s]
-#: Bits of a frame with a base identifier without its data, stuffing at its worst included.
+#: Bits of a frame without its data, and bits per byte of data; both with the largest number of stuff bits.
 FRAME_BITS, BITS_PER_BYTE = 55, 10
 MAX_LINE_BYTES = 32  #: a longer line is noise, because a frame of 8 bytes has 21 characters
-#: Opens the channel of an adapter at 1 Mbit/s: ends a line that another program has started, closes, sets the rate.
-OPEN_ADAPTER = b"\r\rC\rS8\rO\r"
+#: Commands that open an adapter's channel at 1 Mbit/s: end an unfinished line of another program, close the channel,
+#: set the rate, switch timestamps off (an adapter keeps this setting without power), and open the channel.
+OPEN_ADAPTER = b"\r\rC\rS8\rZ0\rO\r"
 HOST_NODE = 127  #: node number of the host
 
 #: Base identifiers of the messages of a node; the node's number is added.
@@ -25,19 +27,19 @@ START_NODE, STOP_NODE, PRE_OPERATIONAL = 0x01, 0x02, 0x80  #: commands of networ
 BOOT_UP, OPERATIONAL = 0x00, 0x05  #: states in a heartbeat
 
 #: Objects of the dictionary: index and subindex.
-EMERGENCY_CODE = (0x603F, 0)
+SERIAL_NUMBER, EMERGENCY_CODE = (0x1018, 4), (0x603F, 0)
 CONTROLWORD, STATUSWORD, MODE = (0x6040, 0), (0x6041, 0), (0x6060, 0)
 POSITION, TARGET_POSITION, TARGET_VELOCITY = (0x6064, 0), (0x607A, 0), (0x60FF, 0)
 
 #: Values of the controlword.
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK_STOP, RESET_FAULT = 0x06, 0x07, 0x0F, 0x0B, 0x80
-START_MOTION = 0x1F  #: enabled, and a homing or a motion to a position starts
+START_MOTION = 0x1F  #: controlword of an enabled drive that starts a homing or a motion to a position
 #: Bits of the statusword.
 FAULT_BIT, TARGET_REACHED, HOMING_ATTAINED, HOMING_ERROR = 1 << 3, 1 << 10, 1 << 12, 1 << 13
 STATE_MASK, ENABLED, STOPPED = 0x6F, 0x27, 0x07  #: states "operation enabled" and "quick stop active"
 PROFILE_POSITION, PROFILE_VELOCITY, HOMING_MODE = 1, 3, 6  #: modes of operation
 
-#: Meaning of emergency codes (CiA 301 and 402); a code that is missing has the meaning of its group, 0xFF00.
+#: Meaning of emergency codes (CiA 301 and 402); a code that is missing has the meaning of its group, code & 0xF000.
 EMERGENCIES = {
     0x1000: "general error",
     0x2000: "the current is wrong",
@@ -63,11 +65,12 @@ EMERGENCIES = {
     0x9000: "an external error",
     0xF000: "an additional function has failed",
 }
+NO_OBJECT = 0x06020000  #: abort code of an SDO if the drive does not have the object
 #: Meaning of the abort codes of SDOs (CiA 301).
 ABORTS = {
     0x05040000: "timeout",
     0x06010002: "the object is read-only",
-    0x06020000: "the object does not exist",
+    NO_OBJECT: "the object does not exist",
     0x06040043: "incompatible parameter",
     0x06060000: "hardware error",
     0x06070010: "the length does not match",
@@ -95,15 +98,25 @@ class Frame(NamedTuple):
 
 
 def encode(frame: Frame) -> bytes:
-    """Return the line by which an adapter sends a frame."""
+    """Return the line that makes an adapter send a frame."""
     return b"t%03X%d%s\r" % (frame.identifier, len(frame.data), frame.data.hex().upper().encode("ascii"))
 
 
 _FRAME = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2})*)")
 
 
-def decode(line: bytes) -> Frame | None:
-    """Return the frame of an adapter's line without its end; None if it is no valid frame."""
+#: Lines of frames that only other devices send: frames with extended identifiers, and remote requests.
+OTHER = re.compile(rb"T[0-9A-Fa-f]{8}[0-8](?:[0-9A-Fa-f]{2}){0,10}|[rR][0-9A-Fa-f]{3,8}[0-8](?:[0-9A-Fa-f]{4})?")
+STAMP = re.compile(rb"[0-9A-Fa-f]{4}")  #: timestamp at the end of a frame's line [ms]
+STAMPED_LINES = 3  #: lines with a timestamp in a row, after which lines with a timestamp are accepted
+
+
+def decode(line: bytes, stamped: bool = False) -> Frame | None:
+    """Return the frame in a line without its line end; None: no valid frame. `stamped`: a timestamp is expected."""
+    if stamped:
+        if not STAMP.fullmatch(line[-4:]):
+            return None
+        line = line[:-4]
     found = _FRAME.fullmatch(line)
     if found is None or len(found[3]) != 2 * int(found[2]):
         return None
@@ -114,20 +127,37 @@ class FrameReader:
     """Divides the bytes of an adapter into frames, and counts the bytes of damaged lines."""
 
     def __init__(self) -> None:
-        self.dropped = 0  #: bytes that belong to no valid line
+        self.dropped = Unread()  #: bytes that belong to no valid line
         self._part = b""
+        self._stamped = 0  # number of lines with a timestamp in a row
+
+    @property
+    def unread(self) -> bytes:
+        """Newest bytes that belong to no valid line."""
+        return self.dropped.last + (b"" if self._part[:1] in b"tTrRzZ" else self._part)
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that `data` completes. The adapter's confirmations of sent frames are ignored."""
         frames: list[Frame] = []
-        *lines, rest = (self._part + data).replace(b"\a", b"\r").split(b"\r")
+        # Adapters confirm a line by CR, by LF, or refuse it by BEL without a CR.
+        *lines, rest = (self._part + data).replace(b"\a", b"\r").replace(b"\n", b"\r").split(b"\r")
         for line in lines:
             frame = decode(line)
             if frame is not None:
-                frames.append(frame)
-            elif line not in (b"", b"z"):
-                self.dropped += len(line) + 1
-        self.dropped += max(0, len(rest) - MAX_LINE_BYTES)
+                if self._stamped < STAMPED_LINES:
+                    frames.append(frame)
+                self._stamped = 0  # damage may have removed its timestamp, or made the lines before look stamped
+            elif (timed := decode(line, stamped=True)) is not None:
+                if self._stamped == STAMPED_LINES:
+                    frames.append(timed)
+                else:
+                    self._stamped += 1
+            elif not line.strip(b"zZ") or OTHER.fullmatch(line):
+                self._stamped = 0
+            else:
+                self.dropped.add(line + b"\r")
+        if len(rest) > MAX_LINE_BYTES:
+            self.dropped.add(rest[:-MAX_LINE_BYTES])
         self._part = rest[-MAX_LINE_BYTES:]
         return frames
 
@@ -136,7 +166,7 @@ class SdoReply(NamedTuple):
     """Reply of a drive to an expedited SDO."""
 
     entry: tuple[int, int]  #: index and subindex of the object
-    value: int  #: value read, unsigned; 0 after a write; abort code
+    value: int  #: value read, unsigned; 0 after a write; abort code of a rejection
     accepted: bool
 
 
@@ -159,7 +189,7 @@ def download(node: int, entry: tuple[int, int], value: int, size: int) -> Frame:
 
 
 def sdo_reply(data: bytes) -> SdoReply | None:
-    """Return the expedited reply in a frame's data; None if it is none."""
+    """Return the expedited SDO reply in a frame's data; None if the data are no such reply."""
     if len(data) != 8:
         return None
     command, entry = data[0], (int.from_bytes(data[1:3], "little"), data[3])

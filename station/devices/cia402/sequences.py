@@ -1,7 +1,7 @@
-"""Connects and homes CANopen drives by requests, one at a time; the caller runs these sequences."""
+"""Scripts that identify, set up and home CANopen drives; `kernel/stages.py` runs them."""
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from station.devices.cia402.bus import (
@@ -12,8 +12,9 @@ from station.devices.cia402.bus import (
     InFault,
     Request,
     Restarted,
-    UnexpectedMotion,
+    SwitchedOff,
 )
+from station.devices.cia402.makes import ACCELERATION_UNIT, MAKES, POSITION_UNIT, VELOCITY_UNIT, Entry
 from station.devices.cia402.protocol import (
     COMMAND,
     CONTROLWORD,
@@ -26,12 +27,14 @@ from station.devices.cia402.protocol import (
     HOMING_MODE,
     HOST_NODE,
     MODE,
+    NO_OBJECT,
     POSITION,
     PRE_OPERATIONAL,
     PROFILE_POSITION,
     PROFILE_VELOCITY,
     QUICK_STOP,
     RESET_FAULT,
+    SERIAL_NUMBER,
     SHUTDOWN,
     START_MOTION,
     START_NODE,
@@ -49,18 +52,52 @@ from station.devices.cia402.protocol import (
     text,
 )
 from station.devices.cia402.setup import DriveSetup
-from station.devices.stages_on_line import AxisFault
-from station.devices.zaber.sequences import Homing, HomingStep
+from station.devices.kernel.line import no_answer
+from station.devices.kernel.setting import Setting
+from station.devices.kernel.stages import AxisFault, Port
+from station.devices.kernel.startup import STOP_TIMEOUT_S, Axes, Script, Value
 
 MAX_ATTEMPTS = 4  #: largest number of times that a request without an answer is sent
-STOP_TIMEOUT_S = 5.0  #: time in which every axis must confirm a stop [s]
 WATCHDOG_MARGIN_S = 0.07  #: the drives tolerate a silence of the host that is longer than the deadline by this time [s]
+MAX_LIMIT = (0x607D, 2)  #: object with the upper software limit of the position
+#: `MAX_LIMIT` of a drive whose homing has not been completed [counts]. A drive reports to be homed before it has turned
+#: back, and the drives that home later still report their last homing.
+UNFINISHED = (1 << 31) - 2
 SET_HOME_HERE = 37  #: homing method: the present position is the home position
-NOT_VALID = 1 << 31  #: bit of a PDO's identifier by which the PDO is switched off
-NO_REMOTE = 1 << 30  #: bit of a PDO's identifier by which nobody can request the PDO
-
-Script = Generator[Request | float, Answer | None, None]
-Value = Generator[Request | float, Answer | None, int]
+HOME_OFFSET, POLARITY, PROFILE_TYPE = (0x607C, 0), (0x607E, 0), (0x6086, 0)
+#: Objects that a drive may lack; such a drive behaves as if the object's value were 0.
+OPTIONAL = frozenset((HOME_OFFSET, POLARITY, PROFILE_TYPE))
+MOTOR_SPEED, MAX_ACCELERATION, MAX_DECELERATION = (0x6080, 0), (0x60C5, 0), (0x60C6, 0)
+#: Turns of the motor and of the shaft, by which a drive scales its positions.
+GEAR_RATIO = ((0x6091, 1), (0x6091, 2))
+GEAR = Setting("0x6091", "turns of the motor per turns of the shaft", "the driver uses encoder counts: set it to 1 / 1")
+#: Objects that are checked (units) or written at each connection, with the size of those written [bytes].
+UNIT = "set it, or write another `make`"
+SLOWS = "raise it, or lower the joint's values in the robot's file"
+BRAKES = "is its limit of the acceleration too low?"
+OBJECTS: Mapping[Entry, tuple[Setting, int]] = {
+    POSITION_UNIT: (Setting("0x60A8", "unit of positions", UNIT), 4),
+    VELOCITY_UNIT: (Setting("0x60A9", "unit of velocities", UNIT), 4),
+    ACCELERATION_UNIT: (Setting("0x60AA", "unit of accelerations", UNIT), 4),
+    (0x607D, 1): (Setting("0x607D:1", "lower end of the travel"), 4),
+    MAX_LIMIT: (Setting("0x607D:2", "upper end of the travel, and mark of an unfinished homing"), 4),
+    (0x607F, 0): (Setting("0x607F", "largest speed"), 4),
+    (0x6083, 0): (Setting("0x6083", "acceleration", BRAKES), 4),
+    (0x6084, 0): (Setting("0x6084", "deceleration; braking distances assume at least it", BRAKES), 4),
+    (0x6085, 0): (Setting("0x6085", "deceleration of a quick stop", BRAKES), 4),
+    (0x605A, 0): (Setting("0x605A", "what a quick stop does (6: brakes, and the motor keeps its current)"), 2),
+    (0x6007, 0): (Setting("0x6007", "what the drive does without the host's heartbeat (3: quick stop)"), 2),
+    (0x1016, 1): (Setting("0x1016:1", "heartbeat of the host: 65536 x its node + time limit [ms]"), 4),
+    HOME_OFFSET: (Setting("0x607C", "count at the home sensor"), 4),
+    POLARITY: (Setting("0x607E", "directions of positions and velocities (0: not reversed)"), 1),
+    PROFILE_TYPE: (Setting("0x6086", "form of ramps (0: constant acceleration)"), 2),
+    MOTOR_SPEED: (Setting("0x6080", "limit of all velocities", SLOWS), 4),
+    MAX_ACCELERATION: (Setting("0x60C5", "limit of all accelerations", SLOWS), 4),
+    MAX_DECELERATION: (Setting("0x60C6", "limit of all decelerations", SLOWS), 4),
+    TARGET_VELOCITY: (Setting("0x60FF", "velocity at the start"), 4),
+}
+NOT_VALID = 1 << 31  #: bit of a PDO's identifier that switches the PDO off
+NO_REMOTE = 1 << 30  #: bit of a PDO's identifier that forbids remote requests of the PDO
 
 
 class Identity(NamedTuple):
@@ -72,35 +109,36 @@ class Identity(NamedTuple):
     serial: int
 
 
-class DrivesState:
-    """State of all drives; identities and homing states persist when the port is opened again."""
+class DriveProtocol:
+    """CANopen drives on one bus."""
+
+    line: DriveBus
 
     def __init__(self, setups: Sequence[DriveSetup], deadline: float = DEADLINE_S) -> None:
         """`deadline` is the longest silence of a drive [s]."""
-        self.setups, self._deadline = tuple(setups), deadline
-        self.reset()
-        self.identities: list[Identity | None] = [None for _ in setups]
-        self.homed = [False for _ in setups]
-        self.home_again: set[int] = set()  #: axes that must be homed even if their drives report to be homed
-        self.homing: Homing | None = None  #: progress of the latest homing
-        self.now = -math.inf  #: time [s], set by the caller that runs a sequence
+        self.axes, self._deadline = Axes(setups), deadline
         self._homing_start: dict[int, int] = {}  # position at which an unfinished homing started [counts]
 
-    def reset(self) -> None:
-        """Start a new session on the bus."""
-        self.line = DriveBus(self.setups, self._deadline)
+    def session(self, ports: Sequence[Port], *, again: bool) -> Sequence[DriveBus]:  # noqa: ARG002 - all axes stop
+        """Start a new session: every axis stops."""
+        self.line = DriveBus(self.axes.setups, self._deadline)
+        self.line.stop()
+        return (self.line,)
 
-    def fault(self, event: object, connected: bool) -> AxisFault | None:  # noqa: ARG002 - the same in every condition
-        """Return the fault that an event of the bus means."""
+    def happened(self, i: int, event: Any, connected: bool) -> AxisFault | None:  # noqa: ARG002 - not needed
+        """Return the fault that an event of a drive means."""
         match event:
-            case UnexpectedMotion(i):
-                return AxisFault(i, "does not move as commanded; did another program move it?", True)
-            case Restarted(i):
-                return AxisFault(i, "has restarted and lost its position; was it switched off and on?", True)
-            case Emergency(i, code):
-                return AxisFault(i, f"reports: {emergency_text(code)}")
-            case InFault(i):
-                return AxisFault(i, "is in the state 'fault'")
+            case Restarted():
+                return AxisFault("has restarted and lost its position; was it switched off and on?", True)
+            case Emergency(_, code):
+                return AxisFault(f"reports: {emergency_text(code)}")
+            case InFault():
+                return AxisFault("is in the state 'fault'")
+            case SwitchedOff(_, status):
+                return AxisFault(
+                    f"was switched off and receives no velocities (statusword 0x{status:04X}): check its enable input,"
+                    " its supply and other programs on the bus, then connect again"
+                )
         return None
 
     def warning(self, i: int) -> str:
@@ -109,80 +147,61 @@ class DrivesState:
 
     def address(self, i: int) -> str:
         """Return the node number of a drive, for the details of messages."""
-        return f"node {self.setups[i].node}"
+        return f"node {self.axes.setups[i].node}"
 
     def details(self, i: int) -> Mapping[str, Any]:
-        """Return identity, statusword and counters of a drive."""
-        identity = self.identities[i]
-        return {
-            "node": self.setups[i].node,
-            "identity": None if identity is None else identity._asdict(),
-            "statusword": f"0x{self.line.status[i]:04X}",
-            **vars(self.line.counts[i]),
-            "lost_bytes": self.line.reader.dropped,
-        }
+        """Return node and statusword of a drive."""
+        status, lost = f"0x{self.line.status[i]:04X}", self.line.reader.dropped.count
+        return {"node": self.axes.setups[i].node, "statusword": status, "lost_bytes": lost}
 
     def connect(self) -> Script:
         """Identify, set up and enable every drive, then wait for the positions of all homed drives."""
-        for i in range(len(self.setups)):
+        for i in range(len(self.axes.setups)):
             yield from self._identify(i)
-        for i in range(len(self.setups)):
+        for i in range(len(self.axes.setups)):
             self.line.manage(i, PRE_OPERATIONAL)
             yield from self._stop_one(i)
-            yield from self._set_up(i)
+            finished = (yield from self._read(i, MAX_LIMIT)) != UNFINISHED
+            yield from self._set_up(i, self.axes.setups[i].maximum if finished else UNFINISHED)
             yield from self._write(i, MODE, HOMING_MODE, 1)
             yield 0.01
             status = yield from self._read(i, STATUSWORD)
-            self.homed[i] = bool(status & HOMING_ATTAINED) and i not in self.home_again
+            self.axes.homed[i] = bool(status & HOMING_ATTAINED) and finished and i not in self.axes.home_again
             yield from self._enable(i)
-            self.line.estimates[i].forget()
+            self.line.axes.estimates[i].forget()
             self.line.manage(i, START_NODE)
             self.line.start_cycle(i)
             self.line.driven.add(i)
-        yield from self._settle()
+        yield from self.axes.settle()
 
     def home(self) -> Script:
-        """Home the translations first, then one rotation after the other."""
-        give_up = self.now + STOP_TIMEOUT_S
-        while self.line.stopping:
-            if self.now > give_up:
-                raise CanError(f"{self._name(min(self.line.stopping))} has not confirmed its stop")
-            yield 0.02
-        order = sorted(range(len(self.setups)), key=lambda i: self.setups[i].joint.motion != "translation")
-        self.homing = Homing([self._homing_step(i) for i in order])
-        for number, i in enumerate(order):
-            self.homing.start(number, self.now)
-            yield from self._home_one(i)
-        yield from self._settle()
+        """Home every drive."""
+        yield from self.axes.home_at_rest(self, lambda: self.line.axes.stopping)
 
     # Parts of connecting
 
     def _identify(self, i: int) -> Script:
-        name, setup = self._name(i), self.setups[i]
-        kind = yield from self._request(i, (0x1000, 0))
-        if kind.missing:
-            raise CanError(
-                f"{name} does not answer; is it powered, plugged in, at 1 Mbit/s, and its node {setup.node}?"
-            )
+        name, setup = self.axes.name(i), self.axes.setups[i]
+        self.line.reader.dropped.last = b""
+        kind = yield from self.axes.first_answer(name, lambda: self._asked(i, (0x1000, 0)))
+        if kind is None:
+            check = f"is it powered, plugged in, set to node {setup.node} and 1 Mbit/s, and is the adapter for slcan?"
+            raise CanError(no_answer(name, self.line.reader.unread, "lines of an slcan adapter", check))
         if kind.value & 0xFFFF != 402:
             raise CanError(f"{name} is no drive with the profile CiA 402: its device type is 0x{kind.value:08X}")
         vendor = yield from self._read(i, (0x1018, 1))
         product = yield from self._read(i, (0x1018, 2))
         revision = yield from self._read(i, (0x1018, 3))
-        serial = yield from self._read(i, (0x1018, 4))
-        found, before = Identity(vendor, product, revision, serial), self.identities[i]
-        expected = setup.serial if before is None else before.serial
-        if expected is not None and found.serial != expected:
-            raise CanError(f"{name} has serial number {found.serial}; {expected} is expected: is it another drive?")
-        self.identities[i] = found
+        serial = yield from self._read(i, SERIAL_NUMBER)
+        self.axes.identify(i, Identity(vendor, product, revision, serial), {"serial": setup.serial})
 
     def _stop_one(self, i: int) -> Script:
         """Stop a drive that an earlier session may have left in motion, and acknowledge its fault."""
         yield from self._write(i, CONTROLWORD, QUICK_STOP, 2)
-        give_up, last = self.now + STOP_TIMEOUT_S, math.nan
+        give_up, last = self.axes.now + STOP_TIMEOUT_S, math.nan
         while last != (position := (yield from self._read(i, POSITION))):
-            if self.now > give_up:
-                raise CanError(f"{self._name(i)} does not stop")
+            if self.axes.now > give_up:
+                raise CanError(f"{self.axes.name(i)} does not stop")
             last = position
             yield 0.02
         if (yield from self._read(i, STATUSWORD)) & FAULT_BIT:
@@ -191,28 +210,52 @@ class DrivesState:
             yield 0.02
             if (yield from self._read(i, STATUSWORD)) & FAULT_BIT:
                 code = yield from self._read(i, EMERGENCY_CODE)
-                raise CanError(f"{self._name(i)} stays in the state 'fault': {emergency_text(code)}")
+                raise CanError(f"{self.axes.name(i)} stays in the state 'fault': {emergency_text(code)}")
 
-    def _set_up(self, i: int) -> Script:
-        setup, node = self.setups[i], self.setups[i].node
-        if setup.make == "epos4":
-            yield from self._write(i, (0x60A9, 0), 0xFDB44700)  # velocities in thousandths of a turn per minute
+    def _set_up(self, i: int, maximum: int) -> Script:
+        setup, node = self.axes.setups[i], self.axes.setups[i].node
+        make, ramp = MAKES[setup.make], setup.acceleration
+        for entry in make.settable:
+            yield from self._write(i, entry, make.units[entry])
+        for entry, wanted in make.units.items():
+            found = yield from self._request(i, entry)  # older drives do not have these objects
+            self.axes.record(i, OBJECTS[entry][0], f"0x{found.value:08X}" if found.accepted else "none")
+            if found.accepted and found.value not in (0, wanted):
+                raise CanError(
+                    f"{self.axes.name(i)}: its unit {text(entry)} is 0x{found.value:08X}; for make '{setup.make}' it"
+                    f" must be 0x{wanted:08X}: {OBJECTS[entry][0].refused}"
+                )
         watchdog = HOST_NODE << 16 | round(1e3 * (self._deadline + WATCHDOG_MARGIN_S))
-        for entry, value, size in (
-            ((0x607D, 1), setup.minimum, 4),  # software position limits
-            ((0x607D, 2), setup.maximum, 4),
-            ((0x607F, 0), setup.top, 4),  # maximum profile velocity
-            ((0x6083, 0), setup.acceleration, 4),
-            ((0x6084, 0), setup.acceleration, 4),
-            ((0x6085, 0), setup.acceleration, 4),  # deceleration of a quick stop
-            ((0x605A, 0), 6, 2),  # quick stop with that deceleration; the motor keeps its current
-            ((0x6007, 0), 3, 2),  # quick stop if the host's heartbeat is missing
-            ((0x1016, 1), watchdog, 4),
-            ((0x607C, 0), 0, 4),  # home offset
-            (TARGET_VELOCITY, 0, 4),
-        ):
+        for entry, value in (
+            ((0x607D, 1), setup.minimum), (MAX_LIMIT, maximum), ((0x607F, 0), setup.top), ((0x6083, 0), ramp),
+            ((0x6084, 0), ramp), ((0x6085, 0), ramp), ((0x605A, 0), 6), ((0x6007, 0), 3), ((0x1016, 1), watchdog),
+            (HOME_OFFSET, 0), (POLARITY, 0), (PROFILE_TYPE, 0), (TARGET_VELOCITY, 0),
+        ):  # fmt: skip
+            setting, size = OBJECTS[entry]
             yield from self._write(i, entry, value, size)
-        # Controlword and velocity arrive in one frame; statusword and position answer to each SYNC in another one.
+            self.axes.record(i, setting, None, value)
+        for entry in ((0x6083, 0), (0x6084, 0), (0x6085, 0)):  # the braking distance depends on them
+            if (found := (yield from self._read(i, entry))) != ramp:
+                raise CanError(
+                    f"{self.axes.name(i)} keeps {found} in {text(entry)} instead of {ramp}:"
+                    f" it would not brake as the robot's file says; {OBJECTS[entry][0].refused}"
+                )
+        motor = yield from self._request(i, GEAR_RATIO[0])
+        shaft = yield from self._request(i, GEAR_RATIO[1])
+        if motor.accepted and shaft.accepted:
+            self.axes.record(i, GEAR, ratio := f"{motor.value} / {shaft.value}")
+            if motor.value != shaft.value:
+                raise CanError(f"{self.axes.name(i)} has a gear ratio of {ratio} (0x6091); {GEAR.refused}")
+        limits = [(MAX_ACCELERATION, ramp), (MAX_DECELERATION, ramp)]
+        for entry, needed in limits + ([(make.speed_limit, setup.top)] if make.speed_limit else []):
+            found = yield from self._request(i, entry)
+            self.axes.record(i, OBJECTS[entry][0], found.value if found.accepted else "none")
+            if found.accepted and found.value < needed:  # the drive would move more slowly without an error
+                raise CanError(
+                    f"{self.axes.name(i)} limits itself: {text(entry)} is {found.value}, but the joint needs {needed};"
+                    f" {OBJECTS[entry][0].refused}"
+                )
+        # The drive receives controlword and velocity in one frame, and sends statusword and position after each SYNC.
         yield from self._map(i, 0x1400, COMMAND + node, 255, (0x60400010, 0x60FF0020))
         yield from self._map(i, 0x1800, NO_REMOTE | STATUS + node, 1, (0x60410010, 0x60640020))
 
@@ -233,36 +276,41 @@ class DrivesState:
         for word in (SHUTDOWN, SWITCH_ON, ENABLE):
             yield from self._write(i, CONTROLWORD, word, 2)
             yield 0.004
-        give_up = self.now + 1.0
+        give_up = self.axes.now + 1.0
         while (status := (yield from self._read(i, STATUSWORD))) & STATE_MASK != ENABLED:
-            if self.now > give_up:
-                raise CanError(f"{self._name(i)} cannot be enabled: its statusword is 0x{status:04X}")
+            if self.axes.now > give_up:
+                raise CanError(f"{self.axes.name(i)} cannot be enabled: its statusword is 0x{status:04X}")
             yield 0.02
 
     # Parts of homing
 
-    def _home_one(self, i: int) -> Script:
-        setup, name, estimate = self.setups[i], self._name(i), self.line.estimates[i]
-        self.homed[i] = False
-        self.line.driven.discard(i)
-        estimate.forget(adrift=True)
-        start = self._homing_start.setdefault(i, signed((yield from self._read(i, POSITION))))
-        reach = max((setup.maximum - setup.minimum) * setup.joint.microstep, 2.0 * math.pi) / setup.home_speed
-        last = yield from self._home_by(i, setup.homing_method, self.now + 2.0 * reach + 10.0)
-        if setup.joint.motion == "rotation" and start - last > 0.5 * setup.turn:
-            yield from self._turn_back(i)
-        del self._homing_start[i]
-        yield from self._enable(i)
-        self.line.driven.add(i)
-        estimate.forget()
-        self.homed[i] = True
-        self.home_again.discard(i)
-        if (yield from self._read(i, STATUSWORD)) & FAULT_BIT:
-            raise CanError(f"{name} is in the state 'fault'")
+    def mark(self, i: int, *, finished: bool) -> Script:
+        """Mark a drive as homed, or not, by its upper limit; a homed drive receives velocities."""
+        yield from self._write(i, MAX_LIMIT, self.axes.setups[i].maximum if finished else UNFINISHED)
+        if finished:
+            self._homing_start.pop(i, None)
+            yield from self._enable(i)
+            self.line.driven.add(i)
 
-    def _home_by(self, i: int, method: int, give_up: float) -> Value:
-        """Home by a method, and return the last position before the end of the motion [counts]."""
-        speed, setup = self.setups[i].units(self.setups[i].home_speed), self.setups[i]
+    def seek(self, i: int, give_up: float) -> Value[float]:
+        """Move a drive to its home sensor, and return how far it moved [rad or m]."""
+        self.line.release(i)
+        start = self._homing_start.setdefault(i, signed((yield from self._read(i, POSITION))))
+        last = yield from self._home_by(i, self.axes.setups[i].homing_method, give_up)
+        return (start - last) * self.axes.setups[i].joint.microstep
+
+    def turn_back(self, i: int, give_up: float) -> Script:
+        """Turn a rotation up by one turn, and count zero there."""
+        setup = self.axes.setups[i]
+        yield from self._write(i, MODE, PROFILE_POSITION, 1)
+        yield from self._write(i, (0x6081, 0), setup.units(setup.home_speed))  # profile velocity
+        yield from self._write(i, TARGET_POSITION, setup.turn)
+        yield from self._motion(i, TARGET_REACHED, give_up)
+        yield from self._home_by(i, SET_HOME_HERE, self.axes.now + 10.0)
+
+    def _home_by(self, i: int, method: int, give_up: float) -> Value[int]:
+        """Home a drive by a method of CiA 402, and return the last position before the end of the motion [counts]."""
+        speed, setup = self.axes.setups[i].units(self.axes.setups[i].home_speed), self.axes.setups[i]
         yield from self._write(i, (0x6098, 0), method, 1)
         yield from self._write(i, (0x6099, 1), speed)  # while searching the switch
         yield from self._write(i, (0x6099, 2), speed)  # while searching the zero
@@ -270,24 +318,9 @@ class DrivesState:
         yield from self._write(i, MODE, HOMING_MODE, 1)
         return (yield from self._motion(i, HOMING_ATTAINED | TARGET_REACHED, give_up))
 
-    def _turn_back(self, i: int) -> Script:
-        """Turn a rotation that homed one turn too low up by one turn to its zero, at the homing speed.
-
-        A rotation passes its home sensor once per turn while it moves down. If it started within half a turn of its
-        zero and moved more than half a turn to the sensor, it started below zero.
-        """
-        setup = self.setups[i]
-        yield from self._write(i, (0x607D, 2), max(setup.turn, setup.maximum))
-        yield from self._write(i, MODE, PROFILE_POSITION, 1)
-        yield from self._write(i, (0x6081, 0), setup.units(setup.home_speed))  # profile velocity
-        yield from self._write(i, TARGET_POSITION, setup.turn)
-        yield from self._motion(i, TARGET_REACHED, self.now + 4.0 * math.pi / setup.home_speed + 10.0)
-        yield from self._home_by(i, SET_HOME_HERE, self.now + 10.0)
-        yield from self._write(i, (0x607D, 2), setup.maximum)
-
-    def _motion(self, i: int, ended: int, give_up: float) -> Value:
+    def _motion(self, i: int, ended: int, give_up: float) -> Value[int]:
         """Start a motion, wait until all bits of `ended` are set, and return the last position before [counts]."""
-        started, last = self.now, 0
+        started, last = self.axes.now, 0
         yield from self._write(i, CONTROLWORD, ENABLE, 2)
         yield from self._write(i, CONTROLWORD, START_MOTION, 2)
         while True:
@@ -295,58 +328,42 @@ class DrivesState:
             status = yield from self._read(i, STATUSWORD)
             if status & FAULT_BIT:
                 code = yield from self._read(i, EMERGENCY_CODE)
-                raise CanError(f"{self._name(i)}: {emergency_text(code)}")
+                raise CanError(f"{self.axes.name(i)}: {emergency_text(code)}")
             if ended & HOMING_ATTAINED and status & HOMING_ERROR:
-                raise CanError(f"{self._name(i)} has not found its home sensor; is it free to move?")
+                raise CanError(f"{self.axes.name(i)} has not found its home sensor; is it free to move?")
             if status & ended == ended:
                 return last
             last = signed((yield from self._read(i, POSITION)))
-            if self.now > give_up:
-                raise CanError(f"{self._name(i)} has been moving for more than {give_up - started:.0f} s")
-
-    def _homing_step(self, i: int) -> HomingStep:
-        setup, turn = self.setups[i], 2.0 * math.pi
-        turns, step = setup.joint.motion == "rotation", setup.joint.microstep
-        estimate = self.line.estimates[i]
-        exact = self.homed[i] and estimate.known
-        travel = turn if turns else (setup.maximum - setup.minimum) * step
-        above = (estimate.position + setup.minimum) * step if exact else travel
-        way = above if above >= 0.0 or not turns else 2.0 * turn + above
-        return HomingStep(setup.joint.name, "rad" if turns else "m", abs(way), exact, setup.home_speed)
-
-    def _settle(self) -> Script:
-        """Wait for confirmed positions of all homed drives; a position out of range makes its drive not homed."""
-        give_up, estimates = self.now + 2.0, self.line.estimates
-        while moving := [i for i, homed in enumerate(self.homed) if homed and not estimates[i].known]:
-            if self.now > give_up:
-                raise CanError(f"{self._name(moving[0])} does not stop: its position changes")
-            yield 0.02
-        for i, setup in enumerate(self.setups):
-            if self.homed[i] and not 0 <= estimates[i].position <= setup.maximum - setup.minimum:
-                self.homed[i] = False  # another program has homed the drive and set another position
+            if self.axes.now > give_up:
+                raise CanError(f"{self.axes.name(i)} has been moving for more than {give_up - started:.0f} s")
 
     # Requests
 
-    def _name(self, i: int) -> str:
-        return f"the stage {self.setups[i].joint.name}"
-
-    def _read(self, i: int, entry: tuple[int, int]) -> Value:
+    def _read(self, i: int, entry: tuple[int, int]) -> Value[int]:
         answer = yield from self._request(i, entry)
         self._check(i, entry, answer)
         return answer.value
 
     def _write(self, i: int, entry: tuple[int, int], value: int, size: int = 4) -> Script:
-        self._check(i, entry, (yield from self._request(i, entry, value, size)))
+        answer = yield from self._request(i, entry, value, size)
+        if entry in OPTIONAL and not value and answer.value == NO_OBJECT:
+            return  # a drive without this object behaves as with the value 0
+        self._check(i, entry, answer)
 
     def _check(self, i: int, entry: tuple[int, int], answer: Answer) -> None:
         if answer.missing:
-            raise CanError(f"{self._name(i)} does not answer to a request of {text(entry)}")
+            raise CanError(f"{self.axes.name(i)} does not answer a request for {text(entry)}")
         if not answer.accepted:
-            raise CanError(f"{self._name(i)} rejects {text(entry)}: {abort_text(answer.value)}")
+            raise CanError(f"{self.axes.name(i)} rejects {text(entry)}: {abort_text(answer.value)}")
 
-    def _request(
-        self, i: int, entry: tuple[int, int], value: int | None = None, size: int = 4
-    ) -> Generator[Request | float, Answer | None, Answer]:
+    def _asked(self, i: int, entry: Entry) -> Value[Answer | None]:
+        """Send a request once, and return its answer; if none comes, open the adapter again and return None."""
+        answer = yield Request(i, entry)
+        if answer.missing:
+            self.line.open_adapter()
+        return None if answer.missing else answer
+
+    def _request(self, i: int, entry: tuple[int, int], value: int | None = None, size: int = 4) -> Value[Answer]:
         """Return the answer to a request, which is sent again if its answer is lost."""
         for _ in range(MAX_ATTEMPTS):
             answer = yield Request(i, entry, value, size)

@@ -3,23 +3,19 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
+from station.devices.cia402.makes import MAKES, Make
 from station.devices.cia402.protocol import HOST_NODE, CanError
 from station.devices.config import Serial
-from station.devices.counted_joint import CountedJoint, home_of
+from station.devices.kernel.axis import CountedJoint, home_of
 
 DEADLINE_S = 0.030  #: default of the longest silence of a drive [s]
 MAX_COUNT = 2**31 - 1  #: largest value of a position or velocity in a drive
-#: Makes of drives. They differ in the unit of a velocity: counts per second, thousandths of a motor turn per minute
-#: (EPOS4 with object 0x60A9 = 0xFDB44700), motor turns per minute (Faulhaber, as delivered).
-Make = Literal["generic", "epos4", "faulhaber"]
-#: Units of a velocity per motor turn and second.
-UNITS_PER_TURN: Mapping[Make, float] = {"epos4": 60_000.0, "faulhaber": 60.0}
 
 
 class DriveFile(Strict):
@@ -28,19 +24,19 @@ class DriveFile(Strict):
     node: Annotated[int, Field(ge=1, lt=HOST_NODE)]
     """node number of the drive"""
     make: Make = "generic"
-    """make of the drive, which sets its unit of velocity: `generic` counts per second, `epos4`, `faulhaber`"""
+    """make of the drive, which sets its units: `generic` (velocities in counts per second), `epos4` or `faulhaber`"""
     counts_per_turn: Positive | None = None
     """encoder counts per turn of the motor [counts]; required for `epos4` and `faulhaber`"""
     home_at: float | None = None
     """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
-    of the travel at which the drive counts 0"""
+    end of the travel at which the drive counts 0"""
     backwards: bool = False
     """whether the drive's count increases when the joint's position decreases"""
     home_speed: Positive | None = None
     """speed of homing [rad/s or m/s]; default: a quarter of the joint's speed"""
     homing_method: Annotated[int, Field(ge=-128, le=127)] | None = None
-    """method of homing, object 0x6098; default: 17 (negative limit switch) for a translation, 21 (home switch, negative
-    direction) for a rotation"""
+    """method of homing, object 0x6098; default: 17 (negative limit switch) for a translation; 21, for `epos4` 27 (home
+    switch, negative direction) for a rotation"""
     serial: Annotated[int, Field(ge=0)] | None = None
     """serial number that the drive must report"""
 
@@ -53,8 +49,8 @@ class Cia402File(Strict):
     joints: Mapping[Name, DriveFile] = {}
     """the drive of each joint; default: nodes 1, 2, ... in the order of the robot's joints"""
     deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
-    """longest silence of a drive before it counts as lost [s]; the drives stop after a silence of the station that is
-    0.07 s longer"""
+    """longest silence of a drive before it counts as lost [s]; the drives stop if the station is silent for 0.07 s
+    longer than this"""
 
 
 @dataclass(frozen=True)
@@ -64,7 +60,8 @@ class DriveSetup(CountedJoint):
     node: int
     homing_method: int
     make: Make = "generic"
-    velocity_unit: float = 1.0  #: counts per second of one unit of velocity
+    velocity_unit: float = 1.0  #: the drive's unit of velocity [counts/s]
+    acceleration_unit: float = 1.0  #: the drive's unit of acceleration [counts/s^2]
     serial: int | None = None  #: expected serial number; None: any
 
     @classmethod
@@ -75,16 +72,24 @@ class DriveSetup(CountedJoint):
             CanError: the sensor of a translation is inside the travel, a value is out of its range, or the counts per
                 turn are missing.
         """
-        turns, (home_at, home_speed), unit = joint.motion == "rotation", home_of(joint, file), 1.0
-        if file.make != "generic":
+        turns, (home_at, home_speed), unit, ramp = joint.motion == "rotation", home_of(joint, file), 1.0, 1.0
+        make = MAKES[file.make]
+        if make.velocities_per_turn and make.accelerations_per_turn:
             if file.counts_per_turn is None:
                 raise CanError(f"{joint.name}: counts_per_turn is missing; a drive of make '{file.make}' needs it")
-            unit = file.counts_per_turn / UNITS_PER_TURN[file.make]
+            unit = file.counts_per_turn / make.velocities_per_turn
+            ramp = file.counts_per_turn / make.accelerations_per_turn
+        method = file.homing_method
+        if method is None:
+            method = make.rotation_method if turns else 17
+        if (known := make.homing_methods) is not None and method not in known:
+            raise CanError(
+                f"{joint.name}: homing_method = {method}: a drive of make '{file.make}' has only"
+                f" {', '.join(map(str, sorted(known)))}"
+            )
         setup = cls(
-            joint, home_at, home_speed, file.node,
-            (21 if turns else 17) if file.homing_method is None else file.homing_method,
-            file.make, unit, file.serial, backwards=file.backwards,
-        )  # fmt: skip
+            joint, home_at, home_speed, file.node, method, file.make, unit, ramp, file.serial, backwards=file.backwards
+        )
         if not turns and setup.minimum < 0:
             raise CanError(
                 f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
@@ -98,13 +103,13 @@ class DriveSetup(CountedJoint):
             ("acceleration", setup.acceleration, 1),
         ):
             if not least <= value <= MAX_COUNT:
-                raise CanError(f"{joint.name}: {what} of {value} units is outside {least} ... {MAX_COUNT}")
+                raise CanError(f"{joint.name}: {what} of {value} drive units is outside {least} ... {MAX_COUNT}")
         return setup
 
     @property
-    def speed_scale(self) -> float:
-        """Velocity units of the drive per joint velocity [unit per rad/s or m/s]."""
-        return 1.0 / (self.step * self.velocity_unit)
+    def velocity_step(self) -> float:
+        """Joint velocity per velocity unit of the drive [rad/s or m/s]."""
+        return self.step * self.velocity_unit
 
     @property
     def top(self) -> int:
@@ -113,9 +118,9 @@ class DriveSetup(CountedJoint):
 
     @property
     def acceleration(self) -> int:
-        """Acceleration and deceleration, at least those that braking distances assume [velocity unit/s]."""
-        return math.ceil(self.joint.acceleration * abs(self.speed_scale))
+        """Acceleration and deceleration, at least those that braking distances assume [acceleration unit]."""
+        return math.ceil(self.joint.acceleration / abs(self.step * self.acceleration_unit))
 
     def units(self, speed: float) -> int:
         """Return a speed [rad/s or m/s] in the drive's unit."""
-        return round(speed * abs(self.speed_scale))
+        return round(speed / abs(self.velocity_step))

@@ -1,56 +1,51 @@
-"""Options of CANopen drives, and the driver that they open: the drives of one bus behind a serial CAN adapter."""
+"""The driver of CANopen drives: the drives of one bus behind a serial CAN adapter."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from core.errors import CtrError
+from station.config.controllers import StagesLatency
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, check
-from station.devices.cia402.bus import DEADLINE_S, Answer, Request
-from station.devices.cia402.sequences import WATCHDOG_MARGIN_S, DrivesState
+from station.devices.cia402.bus import DEADLINE_S, PERIOD_S, Answer, Request
+from station.devices.cia402.emergency_stop import BAUD, stop_drives
+from station.devices.cia402.protocol import COMMAND, STATUS, SYNC, Frame
+from station.devices.cia402.sequences import WATCHDOG_MARGIN_S, DriveProtocol
 from station.devices.cia402.setup import Cia402File, DriveFile, DriveSetup
-from station.devices.config import in_order
-from station.devices.links.link import Link, SerialLink
-from station.devices.stages_on_line import StagesOnLine
-
-BAUD = 1_000_000  #: of adapters with a real serial port; those with USB ignore it [bit/s]
+from station.devices.kernel.axis import joint_setups
+from station.devices.kernel.driver import on_ports
+from station.devices.kernel.stages import LineStages, one_port
+from station.devices.links.link import Link
 
 
 def cia402_stages(
     setups: Sequence[DriveSetup], link: Link, deadline: float = DEADLINE_S
-) -> StagesOnLine[Request, Answer]:
+) -> LineStages[Request, Answer]:
     """Return the driver of the drives on a bus."""
-    return StagesOnLine(DrivesState(setups, deadline), link, Answer, deadline + WATCHDOG_MARGIN_S)
+    protocol = DriveProtocol(setups, deadline)
+    return LineStages(protocol, one_port(link, setups), Answer, deadline + WATCHDOG_MARGIN_S)
 
 
-def drive_setups(file: Cia402File, robot: RobotFile, key: str) -> list[DriveSetup]:
-    """Return the drive of each joint.
+def _setups(file: Cia402File, robot: RobotFile) -> list[DriveSetup]:
+    address = ("node", lambda drive: drive.node)
+    return joint_setups(robot, file.joints, lambda number: DriveFile(node=number), DriveSetup.of, address)
 
-    Raises:
-        ConfigError: a joint is missing or unknown, two joints have one node, or a value is out of its range.
+
+def _latency(setups: Sequence[DriveSetup], file: Cia402File) -> StagesLatency:  # noqa: ARG001 - no option changes it
+    """Return the latency of CANopen drives.
+
+    In every period of 4 ms the bus carries the SYNC, the answer of each drive, and then a velocity for each drive. The
+    middle one of three drives receives its velocity after 0.6 ms, that of six after 1.2 ms. A USB adapter sends every
+    millisecond and adds 0.5 ms on average. The mean wait for the next period is half a period less 1 ms, half a tick
+    of the control loop, because all velocities of a cycle are sent in the tick in which they were computed.
     """
-    names = [joint.name for joint in robot.joints]
-    drives = (
-        in_order(file.joints, names, f"{key}.joints")
-        if file.joints
-        else [DriveFile(node=number) for number, _ in enumerate(names, 1)]
-    )
-    taken: dict[int, str] = {}
-    for name, drive in zip(names, drives, strict=True):
-        if taken.setdefault(drive.node, name) != name:
-            raise ConfigError(
-                f"{key}.joints.{name}.node = {drive.node}: {taken[drive.node]} has the same node number; "
-                "give each drive of a bus a different one"
-            )
-    try:
-        return [DriveSetup.of(joint, drive) for joint, drive in zip(robot.joints, drives, strict=True)]
-    except CtrError as error:
-        raise ConfigError(f"{key}.joints.{error}") from None
+    drives = len(setups)
+    answer, velocity = Frame(STATUS, bytes(6)).duration, Frame(COMMAND, bytes(6)).duration
+    return StagesLatency(PERIOD_S, Frame(SYNC, b"").duration + drives * answer + 0.5 * (drives + 1) * velocity)
 
 
-def cia402(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StagesOnLine[Request, Answer]]:
-    """Return the opener of CANopen drives; raises ConfigError."""
-    key = "devices.stages"
-    file = check(Cia402File, options, key)
-    setups = drive_setups(file, robot, key)
-    return lambda: cia402_stages(setups, SerialLink(file.port, BAUD), file.deadline)
+CIA402 = on_ports(
+    Cia402File,
+    _setups,
+    lambda _: BAUD,
+    lambda setups, ports, file: cia402_stages(setups, ports[0].link, file.deadline),
+    _latency,
+    lambda setups, file, clock: stop_drives(file.port, {setup.node for setup in setups}, clock),
+)

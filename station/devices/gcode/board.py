@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 from station.devices.gcode.protocol import (
     BAUDS,
+    FULL_FEED,
     JOG_CANCEL,
     QUERY,
     RESET,
@@ -27,30 +28,40 @@ from station.devices.gcode.protocol import (
     Position,
     Resend,
     Started,
+    alarm_text,
     numbered,
     parse,
 )
 from station.devices.gcode.setup import DEADLINE_S, VELOCITY_DATA, AxisSetup
-from station.devices.stages_on_line import AxisLost, LineFault
-from station.devices.zaber.chain import LineCounts
-from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate
+from station.devices.kernel.estimate import AxisEstimate
+from station.devices.kernel.line import AxisLost, LineAxes, LineFault, UnexpectedMotion
 
 SEGMENT_S = 0.010  #: duration of one segment [s]
-#: Time that the queue lasts when the next segment is sent [s]; Marlin does not plan the running segment again.
+#: The next segment is sent when the queue lasts for this time [s]. Marlin does not replan the segment that runs.
 QUEUE_S: dict[Dialect, float] = {"grbl": 0.030, "marlin": 0.040}
 POLL_S = 0.020  #: time between two position queries [s]
 PROCESSING_S = 0.001  #: time from the end of a line to its execution; assumed [s]
-SPEED_MEMORY = 0.7  #: fraction of the speed at a reading that bounds the error at the next one; the queue is longer
+SPEED_MEMORY = 0.7  #: fraction of a reading's speed that widens the next one's tolerance, because of the long queue
 PACE_GAIN = 0.5  #: fraction of the queue's error that one reading corrects
-PACE_WEIGHT = 1e-4  #: weight of a queue's error of one segment, compared with one segment at top speed
+PACE_WEIGHT = 1e-4  #: weight of a queue error of one segment, relative to a position error of one segment at top speed
 PATH_SEGMENTS = 32  #: number of segments that are compared with a reading; the planner has up to 16 blocks
+SLOWEST_S = 0.03  #: longest duration of one motion; Marlin drops short ones, so slow axes move in steps [s]
 MIN_STEPS = 6  #: Marlin drops shorter motions [microsteps]
-UNCONFIRMED_STOP_S = 0.5  #: time after which a stop without effect is followed by a reset (GRBL) or M112 (Marlin) [s]
+#: If positions arrive, but a stop has no effect for this time [s], GRBL is reset, and Marlin is halted by M112.
+UNCONFIRMED_STOP_S = 0.5
 MAX_REJECTIONS = 3  #: rejected segments in a row that are a fault
-RESEND_S = 0.020  #: time in which further requests for the same line belong to lines in transit [s]
-BLIND = 0.5  #: fraction of the deadline after which a missing position stops the axes until it returns
+RESEND_S = 0.020  #: time in which repeated requests for a line are ignored; lines in transit cause them [s]
+BLIND = 0.5  #: after this fraction of the deadline without a valid position, the axes stop until one arrives
 MAX_SKEW_S = 0.002  #: longest time between the two positions of one Marlin reply [s]
-MAX_PROJECTED = 5  #: replies in a row at the end of the queue that are a fault
+MAX_PROJECTED = 5  #: reported positions in a row that equal the end of the queue; this number is a fault
+#: States of GRBL in which it executes no motion, and what ends them.
+UNUSABLE = {
+    "Door": "close its safety door",
+    "Check": "end its check mode by `$C`",
+    "Sleep": "switch it off and on",
+    "Tool": "end the change of its tool",
+    "Pendant": "give the control back at its pendant",
+}
 #: Ends an unfinished line of GRBL and makes it invalid, so that the board does not execute a part of a command.
 END_LINE = b"#\n"
 OWN_RESET_S = 3.0  #: time after a reset by the host in which its banner and alarm are expected [s]
@@ -60,7 +71,7 @@ class Request(NamedTuple):
     """One command; `feed` returns its answer."""
 
     text: str
-    timeout: float = 1.0  #: [s]
+    timeout: float = 1.0  #: longest time until its answer [s]
     homing: bool = False
 
 
@@ -73,7 +84,7 @@ class Answer(NamedTuple):
     missing: bool = False
 
 
-Event = Answer | AxisLost | LineFault
+Event = Answer | AxisLost | LineFault | UnexpectedMotion
 
 
 class GcodeBoard:
@@ -84,36 +95,36 @@ class GcodeBoard:
         self.dialect: Dialect = dialect
         self.reader = LineReader()
         count = range(len(self.setups))
-        #: Estimates of the positions, counted from each axis's minimum [counts]. The planner slows the axes at corners,
-        #: so the board may execute a segment later than estimated, by up to the queue.
-        self.estimates = [
+        # The planner slows the axes at corners, so the board may execute a segment later than estimated, by up to the
+        # queue.
+        self.axes = LineAxes(
             AxisEstimate(s.top, s.acceleration, s.maximum - s.minimum, QUEUE_S[dialect], SPEED_MEMORY)
             for s in self.setups
-        ]
-        self.counts = [LineCounts() for _ in count]
-        self.sent = [0 for _ in count]  #: last velocity sent to each axis [velocity data]
-        self.lost: set[int] = set()  #: axes that no longer answer
-        self.stopping = False  #: whether a stop is unconfirmed
+        )
         self.polling = False  #: whether the host queries positions
         self.checking = False  #: whether `offset` is known, so that Marlin's two positions must agree
         self.origin = [0.0 for _ in count]  #: the board's count at the coordinate 0 of each axis
         self.offset = [0.0 for _ in count]  #: Marlin: logical coordinate minus the stepper's coordinate [unit]
-        self.state = ""  #: GRBL's last state
+        self.state, self.code = "", 0  #: GRBL's last state, and the number behind it
+        self.order = ""  #: GRBL: order of the axes in positions and settings; empty: unknown
+        self.fluidnc = False  #: whether the firmware is FluidNC, which has its own alarms
         self.starting = False  #: whether a restart of the board is not a fault, because the host sets it up afterwards
         self.restarted = False  #: whether the board has restarted
-        self.received_at = -math.inf  #: time of the last received byte [s]
+        self._pendant = False  # whether a pendant has the control of grblHAL
+        self.received_at = -math.inf  #: time of the last received line, position reports excepted [s]
         self.reading: Position | None = None  #: last reading
         self._letters = [s.letter for s in self.setups]
         self._byte_time, self._deadline = 10.0 / (baud or BAUDS[dialect]), deadline
-        self._desired = [0.0 for _ in count]  # [counts/s]
+        self._desired = [0.0 for _ in count]  # commanded velocities [counts/s]
         self._target: list[float] | None = None  # end of the last segment, from each axis's minimum [counts]
         self._last: list[float] = []  # target of the last segment that was sent [counts]
         self._path: deque[list[float]] = deque(maxlen=PATH_SEGMENTS)  # ends of the last segments [counts]
         self._accumulated = 0.0  # time since the end of the last segment that was sent [s]
         self._planned = -math.inf  # time at which the board has executed every segment [s]
-        self._speeds = [0.0 for _ in count]  # of the estimates [counts/s]
-        self._future: deque[tuple[float, int, float]] = deque()  # speeds of the estimates that start later
+        self._speeds = [0.0 for _ in count]  # last speeds for the estimates [counts/s]
+        self._future: deque[tuple[float, int, float]] = deque()  # speeds that start later: time [s], axis, speed
         self._free = self._next_poll = self._stopped_at = -math.inf
+        self._answering_since = math.inf  # time of the first position after a stop was sent [s]
         self._reset_until = self._next_stop = -math.inf
         self._unverified: float | None = None  # time of the first query after the last accepted reading [s]
         self._doubt = ""  # why the last reading was not accepted
@@ -121,14 +132,15 @@ class GcodeBoard:
         self._request: Request | None = None
         self._requested: float | None = None
         self._lines: list[str] = []
+        self._refusal = ""  # error of Marlin before the `ok` of the request
         self._urgent = self._home_ended = self._killed = self._must_reset = False
         self._number = 0
         self._resent = (-1, -math.inf)  # number that Marlin requested last, and when [s]
         self._blind = False  # whether the axes stop because their positions are missing
-        self._skip_ok = False  # whether the next `ok` belongs to a request for a line, not to a line
+        self._skip_ok = False  # whether the next `ok` belongs to Marlin's request for a line, not to a line
         self._rejections = self._projected = 0
 
-    # Commands of the driver
+    # Commands from the driver
 
     def command(self, axis: int, speed: int) -> None:
         """Set the velocity of an axis [velocity data]."""
@@ -136,21 +148,21 @@ class GcodeBoard:
         self._desired[axis] = min(max(speed / VELOCITY_DATA, -top), top)
 
     def stop(self) -> None:
-        """Empty the planner before any other command, again and again until the board is at rest."""
+        """Send a stop, which empties the planner, before any other command; repeat it until the board is at rest."""
         self._desired = [0.0 for _ in self.setups]
         self.cancel()
-        self._blind, self.sent = False, [0 for _ in self.setups]
-        if self.stopping and not self._home_ended:
+        self._blind, self.axes.sent = False, [0 for _ in self.setups]
+        if self.axes.stopping and not self._home_ended:
             return
-        self.stopping = self._urgent = True
-        self._killed, self._stopped_at = False, math.inf
+        self._begin_stop()
+        self._killed, self._stopped_at, self._answering_since = False, math.inf, math.inf
 
     def send_request(self, request: Request) -> None:
         """Send one request; `feed` returns its `Answer`."""
         self._request, self._requested, self._lines = request, None, []
 
     def cancel(self) -> None:
-        """Cancel the pending request; a homing ends at the next stop."""
+        """Cancel the pending request; if it is a homing, the next stop ends the motion."""
         if self._request is not None and self._requested is not None and self._request.homing:
             self._home_ended = True
         self._request = None
@@ -158,44 +170,44 @@ class GcodeBoard:
         self._unverified, self._skip_ok = None, False
 
     def reset_board(self) -> None:
-        """Reset GRBL; some alarms end by nothing else."""
+        """Reset GRBL, because some alarms end only by a reset."""
         self._must_reset = self._urgent = True
 
-    def give_up(self) -> None:
-        """Count every axis as lost, because the board cannot be reached."""
-        self.stopping = False
-        self.lost |= set(range(len(self.setups)))
+    def _begin_stop(self) -> None:
+        self.axes.stopping, self._urgent = dict.fromkeys(range(len(self.setups)), 0.0), True
 
-    # Bytes and time in
+    # Input: received bytes and the time
 
     def feed(self, data: bytes, now: float) -> list[Event]:
         """Process bytes that have arrived by `now` [s], detect missing replies, and return events."""
         while self._future and self._future[0][0] <= now:
             when, i, speed = self._future.popleft()
-            self.estimates[i].command(speed, when)
-        for estimate in self.estimates:
-            estimate.advance(now)
+            self.axes.estimates[i].command(speed, when)
+        self.axes.advance(now)
         events: list[Event] = []
         if data:
-            self.received_at = now
             for line in self.reader.feed(data):
-                self._take(parse(self.dialect, line, self._letters), events, now)
+                message = parse(self.dialect, line, self._letters, self.order)
+                if not isinstance(message, Position):  # some boards send positions without a query
+                    self.received_at = now
+                self._take(message, events, now)
         if self._request is not None and self._requested is not None:
             if now - self._requested > self._request.timeout:
                 self.cancel()
                 events.append(Answer(missing=True))
-        elif self._unverified is None or self.starting or self.lost:
+        elif self._unverified is None or self.starting or self.axes.lost:
             pass
         elif now - self._unverified > self._deadline:
-            self.give_up()
+            self.axes.give_up()
             why = f"no {'valid position' if self._doubt else 'answer'} of the board"
             why += f" for {1e3 * (now - self._unverified):.0f} ms{self._doubt}"
-            events += [AxisLost(i, why) for i in sorted(self.lost)]
-        elif now - self._unverified > BLIND * self._deadline and any(self.sent) and not self.stopping:
-            self.stopping = self._urgent = self._blind = True  # a damaged line may move an axis anywhere
+            events += [AxisLost(i, why) for i in sorted(self.axes.lost)]
+        elif now - self._unverified > BLIND * self._deadline and any(self.axes.sent) and not self.axes.stopping:
+            self._begin_stop()  # a damaged line may move an axis anywhere
+            self._blind = True
         if self._waiting and self._request is None and now - self._waiting[0][0] > 0.5 * self._deadline:
             self._waiting.clear()  # a reply was damaged
-            self.counts[0].missed += 1
+            self.axes.counts[0].missed += 1
         return events
 
     def _take(self, message: Message, events: list[Event], now: float) -> None:
@@ -203,7 +215,9 @@ class GcodeBoard:
             case Ok() | Failure():
                 self._acknowledge(message, events)
             case Position():
-                self.state = message.state
+                self._pendant = self._pendant if message.pendant is None else message.pendant
+                message = message._replace(state="Pendant") if self._pendant else message
+                self.state, self.code = message.state, message.code
                 self._read(message, events, now)
             case Busy():
                 if self._request is not None and self._requested is not None and not self._request.homing:
@@ -211,12 +225,14 @@ class GcodeBoard:
             case Resend(number):
                 self._send_again(number, now)
             case Started():
-                self._number, self.restarted = 0, True
-                for estimate in self.estimates:
+                self._number, self.restarted, self._pendant = 0, True, False
+                self._answering_since = math.inf
+                for estimate in self.axes.estimates:
                     estimate.forget()
                 if now > self._reset_until and not self.starting:
                     self._break(events, "has reset itself and lost its position", True)
-            case Alarm(text):
+            case Alarm(text, number):
+                text = alarm_text(number, self.fluidnc) if number else text
                 if now > self._reset_until and not self.starting:
                     self._break(events, f"reports: {text}", True)
             case Info(text):
@@ -230,9 +246,9 @@ class GcodeBoard:
         events.append(LineFault(f"the board {text}", must_home))
 
     def _acknowledge(self, message: Ok | Failure, events: list[Event]) -> None:
-        """Assign `ok` or an error to the oldest line without one."""
+        """Assign `ok` or an error to the oldest line without a reply."""
         if self.dialect == "marlin" and isinstance(message, Failure):
-            self._lines.append(message.text)  # `ok` follows
+            self._refusal = self._refusal or message.text  # `ok` follows
             return
         if self._skip_ok:
             self._skip_ok = False
@@ -240,7 +256,7 @@ class GcodeBoard:
         kind = self._waiting.popleft()[1] if self._waiting else ""
         error = message.text if isinstance(message, Failure) else ""
         if kind == "request" and self._request is not None:
-            error = error or next((line for line in self._lines if "Unknown command" in line), "")
+            error = error or self._refusal or next((line for line in self._lines if "Unknown command" in line), "")
             answer = Answer(not error, tuple(self._lines), error)
             self._request = None
             events.append(answer)
@@ -262,40 +278,49 @@ class GcodeBoard:
             self._requested = None
 
     def _read(self, position: Position, events: list[Event], now: float) -> None:
-        """Process a position; a reading that disagrees with itself or with the estimates is dropped."""
+        """Process a position; drop it if its values are inconsistent or disagree with the estimates."""
         raw = self.raw(position)
         if not self._agrees(position):
             self._doubt = "; its coordinates disagree with its counts of steps"
-            self.counts[0].rejected += 1
+            self.axes.counts[0].rejected += 1
             return
+        if position.work and not self.starting:
+            self._doubt = "; it reports WPos, because its setting $10 was changed"
+            return
+        if (
+            position.state in UNUSABLE
+            and not self.starting
+            and self.reading is not None
+            and self.reading.state == position.state
+        ):
+            self._break(events, f"reports the state '{position.state}': {UNUSABLE[position.state]}", False)
         before, self.reading = self.reading, position
+        self._answering_since = min(self._answering_since, now)
         moved = before is not None and before.values != position.values
         if moved:  # a board at rest has no queue
             self._check_projection(raw, events, now)
             self._follow_pace(raw, now)
         accepted = True
-        for i, (estimate, setup) in enumerate(zip(self.estimates, self.setups, strict=True)):
-            if estimate.correct(round(raw[i] - self.origin[i]) - setup.minimum):
-                self.counts[i].readings += 1
+        for i, (estimate, setup) in enumerate(zip(self.axes.estimates, self.setups, strict=True)):
+            if self.axes.correct(i, round(raw[i] - self.origin[i]) - setup.minimum, events):
                 continue
             accepted = False
-            self.counts[i].rejected += 1
             self._doubt = f"; {setup.joint.name} does not move as commanded"
-            if estimate.rejected >= MAX_UNEXPECTED_READINGS:
-                estimate.forget()
-                text = f"does not move {setup.joint.name} as commanded; was it moved by another program?"
-                self._break(events, text, True)
-            elif estimate.rejected == 1 and not self.stopping:
-                self.stopping = self._urgent = True  # a damaged line may have moved an axis
+            if not estimate.rejected:  # the estimate has forgotten its position
+                self._waiting.clear()
+                self._target = None
+            elif estimate.rejected == 1 and not self.axes.stopping:
+                self._begin_stop()  # a damaged line may have moved an axis
         if accepted:
             self._unverified, self._doubt = None, ""
-        if self.stopping and not self._urgent and before is not None and not moved:
-            doubtful = any(estimate.doubtful for estimate in self.estimates)
+        if self.axes.stopping and not self._urgent and before is not None and not moved:
+            doubtful = any(estimate.doubtful for estimate in self.axes.estimates)
             at_rest = position.state not in ("Jog", "Run", "Home") and not doubtful
             queued = any(kind == "segment" for _, kind in self._waiting)
             if at_rest and not queued and now - self._stopped_at > POLL_S:
-                self.stopping, self._blind, self._target = False, False, None
-                self.sent = [0 for _ in self.setups]
+                self.axes.stopping.clear()
+                self._blind, self._target = False, None
+                self.axes.sent = [0 for _ in self.setups]
 
     def _agrees(self, position: Position) -> bool:
         """Return whether Marlin's coordinates agree with its counts of steps."""
@@ -313,7 +338,7 @@ class GcodeBoard:
         if self.dialect == "grbl" or self._planned - now < 2.0 * SEGMENT_S or not self._last:
             return
         ends = [last + s.minimum + origin for last, s, origin in zip(self._last, self.setups, self.origin, strict=True)]
-        ahead = max(abs(last - e.position) for last, e in zip(self._last, self.estimates, strict=True))
+        ahead = max(abs(last - e.position) for last, e in zip(self._last, self.axes.estimates, strict=True))
         at_end = ahead > 8.0 * MIN_STEPS and all(abs(a - b) < 2.0 for a, b in zip(raw, ends, strict=True))
         self._projected = self._projected + 1 if at_end else 0
         if self._projected == MAX_PROJECTED:
@@ -349,7 +374,7 @@ class GcodeBoard:
             return list(position.values)
         return [value / setup.unit for value, setup in zip(position.values, self.setups, strict=True)]
 
-    # Bytes out
+    # Output: bytes to send
 
     def is_free(self, now: float) -> bool:
         """Return whether the line can transmit at `now` [s]."""
@@ -357,23 +382,23 @@ class GcodeBoard:
 
     def due(self, now: float) -> bytes:
         """Return the bytes to send at `now` [s]: a stop first, then a request, a query, and segments."""
-        if self.lost and not self._urgent:
+        if self.axes.lost and not self._urgent:
             return b""
         self._free = max(self._free, now)
         if self._must_reset:
             self._must_reset = self._urgent = False
             self._reset_until = now + OWN_RESET_S
             return RESET
-        if self.stopping and (self._urgent or now >= self._next_stop):
+        if self.axes.stopping and (self._urgent or now >= self._next_stop):
             data = self._stop_bytes(now)
         elif self._request is not None:
             return self._request_bytes(now)
         else:
             data = b""
-        if (self.polling or self.stopping) and now >= self._next_poll:
+        if (self.polling or self.axes.stopping) and now >= self._next_poll:
             self._next_poll = now + POLL_S
             data += self._query(now)
-        if not self.stopping:
+        if not self.axes.stopping:
             data += self._segments(now)
         return data
 
@@ -382,7 +407,7 @@ class GcodeBoard:
         if first:
             self._stopped_at = now
             if not self._blind:  # otherwise a lost axis would seem to be at rest
-                self.sent = [0 for _ in self.setups]
+                self.axes.sent = [0 for _ in self.setups]
             self._future.clear()
             self._speeds = [math.nan for _ in self.setups]
             for i in range(len(self.setups)):
@@ -390,16 +415,19 @@ class GcodeBoard:
             self._planned, self._accumulated = -math.inf, 0.0
         data = JOG_CANCEL if self.dialect == "grbl" else b"\nM410\n"
         if first and self.dialect == "grbl":
-            data += END_LINE
+            data += FULL_FEED + END_LINE
         if first or self.dialect == "marlin":
             self._waiting.append((now, "query"))
         answers = self._unverified is None or now - self._unverified < self._deadline
-        if self._home_ended or (answers and now - self._stopped_at > UNCONFIRMED_STOP_S and not self._killed):
+        # A starting board is silent. Only a board that has answered for a while can disobey. M112 halts a board until
+        # a manual reset.
+        disobeys = answers and now - max(self._stopped_at, self._answering_since) > UNCONFIRMED_STOP_S
+        if self._home_ended or (disobeys and not self._killed):
             self._killed, self._home_ended = True, False
             if self.dialect == "grbl":
                 data += RESET
                 self._reset_until = now + OWN_RESET_S
-            elif now - self._stopped_at > UNCONFIRMED_STOP_S:
+            elif disobeys:
                 data += b"M112\n"
         self._free += len(data) * self._byte_time
         return data
@@ -412,8 +440,8 @@ class GcodeBoard:
             self._free += len(data) * self._byte_time
         else:
             data = self._line("M114 R", "query", now)
-        for i, estimate in enumerate(self.estimates):
-            self.counts[i].polls += 1
+        for i, estimate in enumerate(self.axes.estimates):
+            self.axes.counts[i].polls += 1
             estimate.expect(self._free + (PROCESSING_S if self.dialect == "marlin" else 0.0))
         return data
 
@@ -421,8 +449,9 @@ class GcodeBoard:
         request = self._request
         if request is None or self._requested is not None or self._waiting:
             return b""
-        self._requested, self._unverified = now, None
+        self._requested, self._unverified, self._refusal = now, None, ""
         self._lines.clear()
+        self.reader.last = b""
         if request.text.startswith("M110"):
             self._number = -1
         return self._line(request.text, "request", now)
@@ -438,19 +467,19 @@ class GcodeBoard:
         return data
 
     def _segments(self, now: float) -> bytes:
-        """Return the segments by which the queue lasts for its time again."""
+        """Return the segments that fill the queue to `QUEUE_S` again."""
         if not any(self._desired) and not any(self._speeds):
             return b""
-        if not all(estimate.known for estimate in self.estimates):
+        if not all(estimate.known for estimate in self.axes.estimates):
             return b""
         data = b""
         if not any(self._desired):
             for i in range(len(self.setups)):
                 self._estimate(i, 0.0, max(self._planned, now))
-                self.sent[i] = 0
+                self.axes.sent[i] = 0
             return b""
         if self._target is None:
-            self._target, self._accumulated = [estimate.position for estimate in self.estimates], 0.0
+            self._target, self._accumulated = [estimate.position for estimate in self.axes.estimates], 0.0
             self._last = list(self._target)
             self._path.clear()
         while self._planned - now <= QUEUE_S[self.dialect]:
@@ -461,8 +490,8 @@ class GcodeBoard:
             for i, (setup, desired) in enumerate(zip(self.setups, self._desired, strict=True)):
                 self._target[i] = min(max(self._target[i] + desired * SEGMENT_S, 0.0), setup.maximum - setup.minimum)
                 self._estimate(i, desired, start)
-                self.sent[i] = round(desired * VELOCITY_DATA)
-                self.counts[i].velocities += 1
+                self.axes.sent[i] = round(desired * VELOCITY_DATA)
+                self.axes.counts[i].velocities += 1
             self._path.append(list(self._target))
             if self._target == before:  # every moving axis is at the end of its travel
                 self._accumulated = 0.0
@@ -482,7 +511,8 @@ class GcodeBoard:
                 rotary += change * change
             else:
                 linear += change * change
-        feed = 60.0 * math.sqrt(linear or rotary) / self._accumulated  # [unit/min]
+        # Time beyond `SLOWEST_S` does not count; otherwise a slow start would delay all later motions.
+        feed = 60.0 * math.sqrt(linear or rotary) / min(self._accumulated, SLOWEST_S)  # [unit/min]
         return f"$J=G53{words}F{feed:.3f}" if self.dialect == "grbl" else f"G1{words}F{feed:.3f}"
 
     def _estimate(self, i: int, speed: float, when: float) -> None:

@@ -10,12 +10,12 @@ from pydantic import Field
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.config import Serial
-from station.devices.counted_joint import CountedJoint, home_of
 from station.devices.gcode.protocol import Dialect, GcodeError
+from station.devices.kernel.axis import CountedJoint, home_of
 
 Letter = Literal["X", "Y", "Z", "A", "B", "C"]
 LETTERS: tuple[Letter, ...] = ("X", "Y", "Z", "A", "B", "C")
-VELOCITY_DATA = 1000.0  #: data of a velocity command per microstep per second
+VELOCITY_DATA = 1000.0  #: value of a velocity command that means one microstep per second
 RAMP_S = 0.040  #: default time in which the firmware accelerates a joint to its largest speed [s]
 DEADLINE_S = 0.1  #: default of the longest silence of a board that was queried [s]
 
@@ -37,8 +37,8 @@ class GcodeAxisFile(Strict):
     """speed of homing in the firmware, for the progress display [rad/s or m/s]; default: a quarter of the joint's
     speed"""
     acceleration: Positive | None = None
-    """acceleration of the firmware [rad/s^2 or m/s^2]; default: the larger of the joint's acceleration and of that
-    which reaches the joint's speed in 0.04 s"""
+    """acceleration of the firmware [rad/s^2 or m/s^2]; default: the joint's acceleration, or the one that reaches the
+    joint's speed in 0.04 s, whichever is larger"""
 
 
 class GcodeFile(Strict):
@@ -56,7 +56,7 @@ class GcodeFile(Strict):
     joints: Mapping[Name, GcodeAxisFile] = {}
     """the axis of each joint; default: X, Y, Z, A, B, C in the order of the robot's joints"""
     deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
-    """longest time without a valid position before the board counts as lost; after half of it the axes stop [s]"""
+    """longest time without a valid position before the board counts as lost; the axes stop after half of it [s]"""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class AxisSetup(CountedJoint):
 
     @classmethod
     def of(cls, joint: JointFile, file: GcodeAxisFile) -> "AxisSetup":
-        """Return the setup of a joint; raises GcodeError if the travel does not begin at the home position."""
+        """Return the setup of a joint; raises GcodeError if its `acceleration` is below the robot's."""
         setup = cls(
             joint,
             *home_of(joint, file),
@@ -91,9 +91,9 @@ class AxisSetup(CountedJoint):
         return self.joint.microstep * self.units
 
     @property
-    def speed_scale(self) -> float:
-        """Data of a velocity command per joint velocity [data per rad/s or m/s]."""
-        return VELOCITY_DATA / self.step
+    def velocity_step(self) -> float:
+        """Joint velocity per unit of a velocity command [rad/s or m/s]."""
+        return self.step / VELOCITY_DATA
 
     @property
     def top(self) -> float:

@@ -32,7 +32,7 @@ class LinkError(CtrError):
 
 
 class PortInUse(LinkError):
-    """Another station uses the device; the text names the device and the process of that station."""
+    """A station, this one or another one, uses the device already; the text names the device and the process."""
 
 
 def device_name(url: str) -> str:
@@ -54,7 +54,7 @@ def lock_file(url: str) -> Path:
 
 
 def clear_left_behind() -> None:
-    """Remove lock files that killed stations of this user have left, which are the files without a lock."""
+    """Remove the lock files of this user that no process has locked, because killed stations leave them behind."""
     for path in Path(tempfile.gettempdir()).glob("ctr-station-*.lock"):
         with contextlib.suppress(OSError):  # the file is locked, belongs to another user, or was just removed
             if sys.platform != "win32" and path.lstat().st_uid == os.getuid():
@@ -91,7 +91,7 @@ class PortLock:
             holder = str(error)
             advice = "end that station, or configure another port"
             if holder == str(os.getpid()):
-                advice = "which is this one: two devices cannot have one port"
+                advice = "this is the present process: two devices cannot use the same port"
             raise PortInUse(f"{url} is in use by process {holder or '(not known yet)'}; {advice}") from None
         except OSError as error:
             raise PortInUse(
@@ -203,7 +203,7 @@ def _interface(port: UsbPort) -> str:
 class Link(Protocol):
     """Interface of a link, which carries bytes to and from a device."""
 
-    name: str  #: for messages
+    name: str  #: name of the link in messages
 
     def read(self) -> bytes:
         """Return the bytes that have arrived since the last read, without waiting.
@@ -273,7 +273,7 @@ class SerialLink:
             raise LinkError(f"{self.name} accepts no data: its buffer is full; does the device read?")
 
     def _sent(self, data: bytes) -> int:
-        """Write without pyserial where possible, because pyserial repeats a write to a full buffer endlessly."""
+        """Send `data` and return the number of sent bytes; without pyserial where possible, which retries forever."""
         if self.name.startswith("socket://") and (inner := _socket_of(self._port)) is not None:
             return inner.send(data)
         if self._is_port and os.name == "posix":
@@ -392,14 +392,14 @@ class DatagramInbox:
     """Datagrams that other processes of this computer send to a free UDP port."""
 
     def __init__(self) -> None:
-        """Open the port; raises LinkError if there is none."""
+        """Open a free port; raises LinkError if no port can be opened."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
             self._socket.bind(("127.0.0.1", 0))
         except OSError as error:
             self._socket.close()
-            raise LinkError(f"no UDP port on this computer: {error}") from None
+            raise LinkError(f"no UDP port can be opened on this computer: {error}") from None
         self.port: int = self._socket.getsockname()[1]
 
     def receive(self) -> list[bytes]:

@@ -10,7 +10,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -21,9 +20,11 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Name, NotNegative, Row, Strict, check
 from station.devices.cameras import ONE_CAMERA, CameraFile, measuring
-from station.devices.config import Mount
+from station.devices.config import Mount, twins
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
 from station.devices.jump_gate import JumpGate
+from station.devices.kernel.quality import Quality, Sampled, quoted, sample_fault
+from station.devices.kernel.sampled import SampleClock
 from station.devices.links.link import DatagramInbox, LinkError
 from station.devices.projection import CameraView
 from station.devices.stereo.sighting import Sighting, unpack
@@ -31,33 +32,34 @@ from station.devices.stereo.triangulation import triangulate
 
 #: Time without a position after which a motion ends in HOLD [s]: ten frames of a camera with 30 Hz.
 HOLD_AFTER_S = 0.34
-#: Largest time from the second camera's newest frame to the extrapolated pixel, and largest time between two of its
-#: frames for an interpolation or extrapolation, in frames.
+#: Limits for the interpolated or extrapolated pixel of the second camera: largest time after its newest frame, and
+#: largest time between the two frames that are used [periods of its frames].
 MAX_AHEAD_FRAMES, MAX_GAP_FRAMES = 1.6, 3.5
 #: Standard deviation of a pixel coordinate of the ball [pixel].
 PIXEL_DEVIATION = 0.1
 #: Largest standard deviation of a position in its most uncertain direction [m].
 MAX_DEVIATION_M = 1e-3
-#: Weight of a new value in the mean square of the residuals, and RMS from which on a warning is shown [pixel].
+#: Number of newest frames whose processing times count, and their largest median [periods of the frames]. Slower
+#: processing skips frames. Then the frames of the two cameras are too far apart in time, or a position is too old.
+PROCESSED_FRAMES, MAX_PROCESSING_FRAMES = 9, 1.5
+#: Weight of a new value in the moving mean square of the residuals, and their smallest RMS that is a WARN [pixel].
 RESIDUAL_WEIGHT, WARN_PIXELS = 0.05, 1.0
 
 
-class Problem(StrEnum):
-    """Why the newest frames gave no position."""
-
-    NONE = ""
-    SILENT = "no frames arrive"
-    HIDDEN = "the ball is not visible"
-    APART = "the pictures of the two cameras are too far apart in time"
-    DISAGREE = "the two cameras do not see the ball at the same place; was a camera moved? Calibrate the cameras again"
-    UNCERTAIN = "the lines of sight of the two cameras are nearly parallel; move the cameras apart"
-    JUMP = "the positions jumped; is something else of the ball's colour in the picture?"
+#: Why the newest frames gave no position.
+APART = "the pictures of the two cameras are too far apart in time"
+DISAGREE = (
+    "the two cameras do not see the ball at the same place; was a camera moved, or are the two cameras exchanged?"
+    " Calibrate the cameras again"
+)
+UNCERTAIN = "the lines of sight of the two cameras are nearly parallel; move the cameras apart"
+JUMP = "the positions jumped; is something else of the ball's colour in the picture?"
 
 
 class Inbox(Protocol):
     """Receiver of datagrams."""
 
-    port: int  #: UDP port on this computer; 0 in memory
+    port: int  #: UDP port on this computer; 0 for a receiver in memory
 
     def receive(self) -> list[bytes]:
         """Return the datagrams that have arrived."""
@@ -84,24 +86,49 @@ class Counts:
 class Pixel(NamedTuple):
     """Pixel of the ball in one frame."""
 
-    time: float  #: by the loop's clock [s]
+    time: float  #: time of the frame, by the loop's clock [s]
     at: Array  #: (2,) column and row
 
 
 class Eye:
     """The newest frames of one camera."""
 
-    def __init__(self, rate: float) -> None:
-        self._period = 1.0 / rate
+    def __init__(self, camera: CameraFile) -> None:
+        self._period, self._latency = 1.0 / camera.rate, camera.latency
         self._pixels: deque[Pixel] = deque(maxlen=4)
+        self._processing: deque[float] = deque(maxlen=PROCESSED_FRAMES)
         self.newest = -math.inf  #: time of the newest frame, with or without a ball [s]
         self.visible_at = -math.inf  #: time of the newest frame with the ball [s]
+        self.ambiguous = False  #: whether the newest frame shows several balls
+        self._configured, self._times = camera.rate, deque[float](maxlen=PROCESSED_FRAMES)
 
-    def add(self, time: float, pixel: Array | None) -> None:
-        """Add a frame, with the pixel of the ball (2,) or without a ball."""
+    @property
+    def processing(self) -> float:
+        """Median time from the arrival of a frame until the ball is found in it [s]; 0 before the first frame."""
+        return sorted(self._processing)[len(self._processing) // 2] if self._processing else 0.0
+
+    @property
+    def wrong_rate(self) -> str:
+        """Text that states that the frames are too far apart for an interpolation; empty if they are not."""
+        if len(times := self._times) < PROCESSED_FRAMES:
+            return ""
+        period = (times[-1] - times[0]) / (len(times) - 1)
+        if period <= MAX_GAP_FRAMES * self._period:
+            return ""
+        return f"sends {1.0 / period:.3g} frames/s, and its 'rate' is {self._configured:g}"
+
+    @property
+    def busy(self) -> bool:
+        """Whether the computer takes too long to find the ball in the frames."""
+        return self.processing > MAX_PROCESSING_FRAMES * self._period
+
+    def add(self, time: float, pixel: Array | None, delay: float) -> None:
+        """Add a frame, with the pixel of the ball (2,) or without a ball, sent `delay` after its exposure [s]."""
         if time <= self.newest:
             return  # frames of one camera arrive in their order, except after a restart of its process
         self.newest = time
+        self._times.append(time)
+        self._processing.append(delay - self._latency)
         if pixel is None:
             self._pixels.clear()
             return
@@ -109,7 +136,7 @@ class Eye:
         self._pixels.append(Pixel(time, pixel))
 
     def at(self, time: float) -> Array | None:
-        """Return the pixel (2,) at a time near the newest frames; None: no frames are near enough."""
+        """Return the ball's pixel (2,) at a time near the newest frames; None: no frames are near enough."""
         if len(self._pixels) < 2:
             return None
         after = next((i for i, pixel in enumerate(self._pixels) if pixel.time >= time), len(self._pixels) - 1)
@@ -139,20 +166,22 @@ class StereoTracker:
         Args:
             inbox: receives the datagrams of the cameras' processes.
             cameras: two cameras with a lens and a pose, by name.
-            registration: pose of the cameras' world in the robot's; default: the same.
-            latency: time by which the exposures are earlier than the cameras' settings say [s].
+            registration: pose of the cameras' world frame in the robot's world frame; default: both are the same.
+            latency: delay of the frames in addition to the `latency` of the cameras [s].
             max_residual: largest distance between a pixel and the computed position [pixel].
             stale_after: time without a position that is a HOLD; half of it is a WARN [s].
         """
-        self._inbox, self._cameras, self._latency = inbox, cameras, latency
+        self._inbox, self._cameras = inbox, cameras
         self._views = {name: CameraView.of(*camera.view) for name, camera in cameras.items() if camera.view is not None}
-        self._eyes = {name: Eye(camera.rate) for name, camera in cameras.items()}
+        self._eyes = {name: Eye(camera) for name, camera in cameras.items()}
         self._first, self._second = cameras
         self._registration = registration or RigidTransform(np.eye(3), np.zeros(3))
         self._max_residual, self._stale_after = max_residual, stale_after
-        self._offset = math.inf  # loop's clock minus the station's clock [s]
-        self._opened: float | None = None
-        self._good_time, self._problem = -math.inf, Problem.SILENT
+        # Driver and cameras' processes use the computer's monotonic clock, so their times do not drift apart.
+        self._clock = SampleClock(1.0, 0.0, latency)
+        self._good_time, self._problem = -math.inf, ""
+        self._quality = Quality.SILENT  # of the newest frames
+        self._unread = b""  # the newest datagram, if it is not a message of one of the two cameras
         self._gate, self._counts = JumpGate(), Counts()
         self._residual_square = self._deviation = 0.0
         self._lost = ""
@@ -169,9 +198,9 @@ class StereoTracker:
             return Condition.FAULT
         return Condition.CONNECTED if self._good_time > -math.inf else Condition.CONNECTING
 
-    def connect(self, now: float) -> None:
-        """Nothing to do: the cameras' processes connect themselves."""
-        self._opened = now if self._opened is None else self._opened
+    def connect(self, now: float) -> None:  # noqa: ARG002 - the cameras' processes connect themselves
+        """Receive datagrams again after the port was lost."""
+        self._lost = ""
 
     def poll(self, now: float) -> TipReading | None:
         """Return the newest position that was computed since the last poll, or None."""
@@ -187,11 +216,11 @@ class StereoTracker:
             sighting = unpack(datagram)
             if sighting is None or sighting.camera not in self._eyes:
                 self._counts.malformed += 1
+                self._unread = datagram
                 continue
-            # Both clocks are the computer's monotonic one. A datagram can be late but never early, so the smallest
-            # difference is the best estimate of the constant offset.
-            self._offset = min(self._offset, now - sighting.sent)
-            reading = self._take(sighting, sighting.exposed + self._offset - self._latency, now) or reading
+            self._unread = b""
+            self._clock.observe(sighting.sent, now)
+            reading = self._take(sighting, self._clock.time(sighting.exposed), now) or reading
         return reading
 
     def trouble(self, now: float) -> DeviceFault | None:
@@ -203,21 +232,36 @@ class StereoTracker:
                 return None
             text = f"the lines of sight of the two cameras miss each other by {apart:.1f} pixels: calibrate the cameras"
             return DeviceFault(Severity.WARN, text)
-        severity = Severity.HOLD if self._lost or age > self._stale_after else Severity.WARN
-        since = "" if math.isinf(age) else f", for {age:.2f} s"
-        return DeviceFault(severity, f"the cameras do not track the tip{since}: {self._words(now)}", self._lost)
+        quality, reason = self._reason(now)
+        busy = [f"camera {name} takes {1e3 * eye.processing:.0f} ms" for name, eye in self._eyes.items() if eye.busy]
+        if busy and not self._lost:
+            reason += (
+                f"; this computer is too busy to find the ball in each picture in time ({' and '.join(busy)},"
+                " usually less than 20 ms): close other programs, or reduce 'width' and 'height' of the camera"
+            )
+        because = f"do not track the tip{{since}}: {reason}"
+        return sample_fault([Sampled("the cameras", quality, age, self._lost, because)], self._stale_after)
 
-    def _words(self, now: float) -> str:
-        """Return what is wrong and with which camera."""
+    def _reason(self, now: float) -> tuple[Quality, str]:
+        """Return the quality of the newest frames, and why they give no position, with the camera's name."""
         if self._lost:
-            return "their messages cannot be received"
-        for problem, times in (
-            (Problem.SILENT, {name: eye.newest for name, eye in self._eyes.items()}),
-            (Problem.HIDDEN, {name: eye.visible_at for name, eye in self._eyes.items()}),
+            return Quality.LOST, "their messages cannot be received"
+        slow = " and ".join(f"camera {name} {eye.wrong_rate}" for name, eye in self._eyes.items() if eye.wrong_rate)
+        if slow and all(now - eye.newest <= self._stale_after for eye in self._eyes.values()):
+            return Quality.WRONG_RATE, f"{slow}: give it more light, or set 'rate'"
+        for quality, problem, times in (
+            (Quality.SILENT, "no frames arrive", {name: eye.newest for name, eye in self._eyes.items()}),
+            (Quality.MISSING, "the ball is not visible", {name: eye.visible_at for name, eye in self._eyes.items()}),
         ):
-            if late := [name for name, time in times.items() if now - time > 0.5 * self._stale_after]:
-                return f"{problem} ({' and '.join(f'camera {name}' for name in late)})"
-        return self._problem or "the positions are late"
+            late = [f"camera {name}" for name, time in times.items() if now - time > 0.5 * self._stale_after]
+            if late and quality is Quality.SILENT and self._unread:
+                return Quality.UNREADABLE, f"{quoted(self._unread)} arrives, expected messages of {' and '.join(late)}"
+            crowded = [f"camera {name}" for name, eye in self._eyes.items() if eye.ambiguous]
+            if late and quality is Quality.MISSING and crowded:
+                return quality, f"several balls of one colour are visible ({' and '.join(crowded)}): cover the others"
+            if late:
+                return quality, f"{problem} ({' and '.join(late)})"
+        return self._quality, self._problem or "the positions are late"
 
     def details(self) -> Mapping[str, Any]:
         """Return cameras and counters."""
@@ -225,6 +269,7 @@ class StereoTracker:
             "cameras": {name: camera.device for name, camera in self._cameras.items()},
             "residual_pixels": round(math.sqrt(self._residual_square), 3),
             "deviation_mm": round(1e3 * self._deviation, 4),
+            "processing_ms": {name: round(1e3 * eye.processing, 1) for name, eye in self._eyes.items()},
             **vars(self._counts),
         }
 
@@ -233,14 +278,15 @@ class StereoTracker:
         self._inbox.close()
 
     def _take(self, sighting: Sighting, time: float, now: float) -> TipReading | None:
-        """Process a frame of a camera; return a position if it is one of the first camera."""
+        """Process a frame of a camera; return the ball's position if the frame is one of the first camera."""
         counts = self._counts
         counts.frames += 1
         if not now - 2.0 < time <= now + 1e-6:
             counts.malformed += 1
             return None
         pixel = np.array((sighting.column, sighting.row)) if sighting.visible else None
-        self._eyes[sighting.camera].add(time, pixel)
+        self._eyes[sighting.camera].ambiguous = sighting.ambiguous
+        self._eyes[sighting.camera].add(time, pixel, sighting.sent - sighting.exposed)
         if pixel is None:
             counts.hidden += 1
             return None
@@ -249,7 +295,7 @@ class StereoTracker:
         other = self._eyes[self._second].at(time)
         if other is None:
             counts.unpaired += 1
-            self._problem = Problem.APART
+            self._quality, self._problem = Quality.STALE, APART
             return None
         return self._position(sighting.frame, time, np.stack((pixel, other)))
 
@@ -260,20 +306,20 @@ class StereoTracker:
         if found is not None:
             deviation = PIXEL_DEVIATION * math.sqrt(float(np.linalg.eigvalsh(found.covariance)[-1]))
         if found is None or deviation > MAX_DEVIATION_M:
-            self._problem = Problem.UNCERTAIN
+            self._quality, self._problem = Quality.DISAGREEING, UNCERTAIN
             return None
         self._residual_square += RESIDUAL_WEIGHT * (found.residual**2 - self._residual_square)
         self._deviation = deviation
         if found.residual > self._max_residual:
             self._counts.disagreements += 1
-            self._problem = Problem.DISAGREE
+            self._quality, self._problem = Quality.DISAGREEING, DISAGREE
             return None
         position = self._registration.apply(found.position)
         if not self._gate.passes(time, tuple((1e3 * position).tolist())):
             self._counts.jumps += 1
-            self._problem = Problem.JUMP
+            self._quality, self._problem = Quality.JUMP, JUMP
             return None
-        self._good_time, self._problem = time, Problem.NONE
+        self._good_time, self._quality, self._problem = time, Quality.GOOD, ""
         self._counts.positions += 1
         return TipReading(frame, time, position)
 
@@ -284,19 +330,19 @@ class StereoFile(Strict):
     cameras: Annotated[tuple[Name, ...], Row]
     """names of two cameras of this file's tables `[cameras.NAME]`, each with `lens` and `pose`"""
     latency: NotNegative = 0.0
-    """time by which the exposures are earlier than the `latency` of the cameras says, from a calibration [s]"""
+    """delay of the frames in addition to the `latency` of the cameras, from a calibration [s]"""
     max_residual: Annotated[float, Field(gt=0.0, le=50.0)] = 3.0
     """largest distance between the ball's pixel and the computed position, at most 50 [pixel]"""
     stale_after: Annotated[float, Field(ge=0.05, le=10.0)] = HOLD_AFTER_S
     """time without a position after which a motion ends in HOLD; half of it is a warning [s]"""
     mount: Mount = Mount()
-    """pose of the cameras' world in the robot's, from a registration"""
+    """pose of the cameras' world frame in the robot's world frame, from a registration"""
     views: Mapping[Name, CameraFile] = {}
-    """not for files: the station copies the tables of the cameras to this key"""
+    """do not write this key in a file: the station copies the tables of the cameras to it"""
 
 
 def stereo(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StereoTracker]:  # noqa: ARG001
-    """Return the opener of a tracker of two cameras; raises ConfigError."""
+    """Check the options, and return the function that opens a tracker of two cameras; raises ConfigError."""
     key = "devices.tracker"
     file = check(StereoFile, options, key)
     if len(file.cameras) < 2:
@@ -305,13 +351,17 @@ def stereo(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StereoT
         raise ConfigError(f"{key}.cameras = {list(file.cameras)}: expected the names of two different cameras")
     for name in file.cameras:
         if name not in file.views:
-            raise ConfigError(f"{key}.cameras: there is no table [cameras.{name}]; it has {', '.join(file.views)}")
+            raise ConfigError(f"{key}.cameras: there is no table [cameras.{name}]; there are {', '.join(file.views)}")
         if file.views[name].view is None:
             raise ConfigError(
                 f"{key}.cameras: cameras.{name} needs 'lens' and 'pose' to measure the tip:"
                 " 'ctr-station cameras calibrate' finds both"
             )
     cameras = {name: file.views[name] for name in file.cameras}
+    if same := twins({name: None if camera.simulated else camera.device for name, camera in cameras.items()}):
+        raise ConfigError(
+            f"{key}.cameras: {' and '.join(same)} have the same device '{cameras[same[0]].device}'; give each its own"
+        )
     registration = RigidTransform(file.mount.rotation, np.array(file.mount.position))
     return lambda: StereoTracker(
         DatagramInbox(),
@@ -324,5 +374,5 @@ def stereo(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], StereoT
 
 
 def with_views(options: Mapping[str, Any], cameras: Mapping[str, CameraFile]) -> Mapping[str, Any]:
-    """Return the options of a tracker; those of a stereo tracker with the cameras' tables."""
+    """Return the options of a tracker; to those of a stereo tracker the tables of the cameras are added."""
     return {**options, "views": measuring(cameras)} if options["driver"] == "stereo" else options

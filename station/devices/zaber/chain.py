@@ -11,7 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from station.devices.zaber.estimate import MAX_UNEXPECTED_READINGS, AxisEstimate, Backlog
+from station.devices.kernel.estimate import AxisEstimate
+from station.devices.kernel.line import LEAD_S, REPEAT_STOP_S, LineAxes, Turns
+from station.devices.zaber.backlog import Backlog
 from station.devices.zaber.protocol import (
     ACCELERATION_UNIT,
     ERRORS,
@@ -22,10 +24,8 @@ from station.devices.zaber.protocol import (
     SPEED_UNIT,
     Happening,
     Reply,
-    ReplyLost,
     Request,
     ResetDone,
-    UnexpectedMotion,
     UnsolicitedError,
     ZaberCommand,
     ZaberMessage,
@@ -36,17 +36,14 @@ from station.devices.zaber.protocol import (
 )
 
 # Times of units and adapter; the manufacturer does not specify them.
-LEAD_S = 0.002  #: a message is passed to the port this long before the line is free [s]
 MAX_MISSES = 2  #: missing replies in a row after which a unit counts as lost
 #: A reply is dropped if its bytes have a longer gap between them [s]. The manufacturer recommends 10 ms, but a USB
 #: adapter may delay bytes by 16 ms.
 REPLY_GAP_S = 0.025
-REFRESH_S = 0.25  #: an unchanged velocity is repeated after this time, in case it was not received [s]
 STOP_ATTEMPTS = 3  #: number of stop commands that a homing unit may ignore before the host resets the unit
 RESTART_S = 1.0  #: time after a reset in which a unit does not answer [s]
-REPEAT_STOP_S = 0.25  #: interval of stop commands to lost units, in case they receive again [s]
 STATUSES = frozenset(int(status) for status in ZaberStatus)
-#: Commands of messages that a unit may send without a request, or later than expected.
+#: Command numbers of messages that a unit may send without a request, or later than expected.
 UNSOLICITED = frozenset(
     {
         *(ZaberCommand.HOME, ZaberCommand.MOVE_TRACKING, ZaberCommand.LIMIT_ACTIVE, ZaberCommand.MANUAL_MOVE),
@@ -76,17 +73,6 @@ class LineSettings:
     pause: float = 0.0  #: pause after each forward speed [s]; 0.0125 or more prevents misreading (`safe_speed`)
 
 
-@dataclass
-class LineCounts:
-    """Message counters of an axis."""
-
-    velocities: int = 0  #: velocities sent
-    polls: int = 0  #: position and status queries sent
-    readings: int = 0  #: position readings accepted
-    rejected: int = 0  #: implausible position and status readings
-    missed: int = 0  #: replies that did not arrive in time
-
-
 class _ExpectedReply(NamedTuple):
     """A reply that the host waits for."""
 
@@ -101,51 +87,46 @@ class ZaberChain:
     """The Zaber units on one serial line: sends their messages and processes their replies."""
 
     def __init__(self, axes: Sequence[Axis], line: LineSettings | None = None) -> None:
-        self.axes, self.line = tuple(axes), line or LineSettings()
+        self.units, self.line = tuple(axes), line or LineSettings()
         self.parser = ZaberParser(self._plausible, REPLY_GAP_S)
-        count = range(len(self.axes))
-        self.estimates = [
+        self.axes = LineAxes(
             AxisEstimate(axis.top * SPEED_UNIT, axis.acceleration * ACCELERATION_UNIT, axis.maximum)
-            for axis in self.axes
-        ]
-        self.counts = [LineCounts() for _ in count]
-        self.sent = [0 for _ in count]  #: last speed sent to each axis [speed units]
-        self.lost: set[int] = set()  #: axes whose units no longer answer
+            for axis in self.units
+        )
         self.polling = False  #: whether the host polls positions
-        self.stopping: dict[int, int] = {}  #: axes with an unconfirmed stop, and how often each stop was ignored
-        self._index = {axis.device: i for i, axis in enumerate(self.axes)}
-        self._listeners = {number for axis in self.axes for number in (axis.device, axis.alias or axis.device)}
+        self._index = {axis.device: i for i, axis in enumerate(self.units)}
+        self._listeners = {number for axis in self.units for number in (axis.device, axis.alias or axis.device)}
         self._safe_speeds: dict[int, int] = {}  # cache of `safe_speed`
-        self._desired = [0 for _ in count]
-        self._sent_at: list[float] = [math.inf for _ in count]  # infinite: not moving
-        self._misses = [0 for _ in count]
-        self._away: list[float] = [-math.inf for _ in count]
+        self._turns = Turns(self.axes, MAX_MISSES)
+        self._away: list[float] = [-math.inf for _ in self.units]
         self._urgent: deque[tuple[int, int]] = deque()  # axis (-1: all), command
         self._request: Request | None = None
         self._requested = False
         self._pending: dict[tuple[int, int], _ExpectedReply] = {}
         self._backlog = Backlog()
-        self._turn = self._poll_turn = 0
-        self._since_poll = 0
         self._free = self._quiet = self._last_feed = self._stop_repeated = -math.inf
 
-    # Commands of the driver
+    # Commands from the driver
 
     def command(self, axis: int, speed: int) -> None:
         """Set the speed of an axis [speed units]; `due` sends the latest speed when the line is free."""
-        top = self.axes[axis].top
-        self._desired[axis] = speed if -top <= speed <= top else int(math.copysign(top, speed))
+        top = self.units[axis].top
+        self._turns.desired[axis] = self._safe_speed(min(max(speed, -top), top))
 
     def stop(self) -> None:
         """Send stops to all axes before any other message, and poll each axis until it confirms its stop."""
-        self._desired = [0 for _ in self.axes]
+        self._turns.desired = [0 for _ in self.units]
         self.cancel()
-        reachable = [i for i in range(len(self.axes)) if i not in self.lost]
-        if all(i in self.stopping for i in reachable) and (reachable or self._urgent):
+        reachable = self.axes.reachable
+        if all(i in self.axes.stopping for i in reachable) and (reachable or self._urgent):
             return  # all axes have been commanded to stop and are polled
+        self.send_stops()
+        self.axes.stopping = dict.fromkeys(reachable, 0)
+
+    def send_stops(self) -> None:
+        """Send stops to all axes before any other message, also to units that may not answer; await no confirmation."""
         # One message stops all units. Then each unit gets its own stop, because no unit confirms the common one.
-        self._urgent = deque([(-1, ZaberCommand.STOP), *((i, ZaberCommand.STOP) for i in range(len(self.axes)))])
-        self.stopping = dict.fromkeys(reachable, 0)
+        self._urgent = deque([(-1, ZaberCommand.STOP), *((i, ZaberCommand.STOP) for i in range(len(self.units)))])
 
     def send_request(self, request: Request) -> None:
         """Send one query or setting; `feed` returns its `Reply`. Only one request can be pending."""
@@ -156,12 +137,11 @@ class ZaberChain:
         self._request = None
         self._pending = {key: expected for key, expected in self._pending.items() if expected.poll}
 
-    # Bytes and time in
+    # Input: received bytes and the time
 
     def feed(self, data: bytes, now: float) -> list[Happening]:
         """Process bytes that have arrived by `now` [s], detect missing replies, and return events."""
-        for estimate in self.estimates:
-            estimate.advance(now)
+        self.axes.advance(now)
         events: list[Happening] = []
         if data:
             for message in self.parser.feed(data, now, self._last_feed):
@@ -180,7 +160,7 @@ class ZaberChain:
             self._miss(expected.axis, expected.poll, events, now)
         return events
 
-    # Bytes out
+    # Output: bytes to send
 
     def is_free(self, now: float) -> bool:
         """Return whether the line can transmit a message at `now` [s]."""
@@ -202,64 +182,52 @@ class ZaberChain:
             speed = data if command == ZaberCommand.MOVE_SPEED else 0
             if speed > 0 and self.line.pause > 0.0:
                 self._quiet = max(self._quiet, self._free + self.line.pause)
-            for i, axis in enumerate(self.axes):
+            for i, axis in enumerate(self.units):
                 if device in (0, axis.device, axis.alias):
-                    self.sent[i] = speed
-                    self.estimates[i].command(speed * SPEED_UNIT, effect)
+                    self.axes.sent[i] = speed
+                    self.axes.estimates[i].command(speed * SPEED_UNIT, effect)
         return encode(chosen)
 
     def _next(self, now: float) -> ZaberMessage | None:
-        if self.lost and not self._urgent and now - self._stop_repeated > REPEAT_STOP_S:
+        if self.axes.lost and not self._urgent and now - self._stop_repeated > REPEAT_STOP_S:
             self._stop_repeated = now
-            self._urgent.extend((i, int(ZaberCommand.STOP)) for i in sorted(self.lost))
+            self._urgent.extend((i, int(ZaberCommand.STOP)) for i in sorted(self.axes.lost))
         if self._urgent:
             return self._next_urgent(now)
         request = self._request
         if request is not None and not self._requested and now >= self._away[request.axis]:
-            device = self.axes[request.axis].device
+            device = self.units[request.axis].device
             if (device, request.reply) not in self._pending:
                 self._requested = True
                 if request.reply is not None:
                     self._pending[device, request.reply] = _ExpectedReply(
                         now + self.line.deadline, request.axis, poll=False
                     )
-                # A unit that has lost the message frame may misread this data; the pause resynchronises the unit.
+                # A unit that has lost the message boundaries may misread these data; the pause resynchronises the unit.
                 self._quiet = max(self._free, now) + MESSAGE_TIME_S + 1.25 * RESYNC_GAP_S
                 return ZaberMessage(device, request.command, request.data)
-        if self._since_poll < len(self.axes):
-            velocity = self._next_velocity(now)
-            if velocity is not None:
-                self._since_poll += 1
-                return velocity
-        self._since_poll = 0
-        poll = self._next_poll(now) if self.polling or self.stopping else None
-        return poll or self._next_velocity(now)
+        polls = self.polling or self.axes.stopping
+        return self._turns.message(lambda: self._next_velocity(now), (lambda: self._next_poll(now)) if polls else None)
 
     def _next_urgent(self, now: float) -> ZaberMessage:
         axis, command = self._urgent.popleft()
         if not self._urgent:
-            # This pause resynchronises units that have lost the message frame.
+            # This pause resynchronises units that have lost the message boundaries.
             self._quiet = max(self._free, now) + MESSAGE_TIME_S + 1.25 * RESYNC_GAP_S
-        for i in range(len(self.axes)) if axis < 0 else (axis,):
-            self._sent_at[i] = math.inf
+        for i in range(len(self.units)) if axis < 0 else (axis,):
+            self._turns.sent_at[i] = math.inf
             if command == ZaberCommand.RESET:
                 self._away[i] = now + RESTART_S
-        return ZaberMessage(0 if axis < 0 else self.axes[axis].device, command, NO_DATA)
+        return ZaberMessage(0 if axis < 0 else self.units[axis].device, command, NO_DATA)
 
     def _next_velocity(self, now: float) -> ZaberMessage | None:
-        count = len(self.axes)
-        for k in range(count):
-            i = (self._turn + k) % count
-            desired = self._safe_speed(self._desired[i])
-            if desired != self.sent[i] or now - self._sent_at[i] > REFRESH_S:
-                self._turn = i + 1
-                self._sent_at[i] = now
-                self.stopping.pop(i, None)
-                self.counts[i].velocities += 1
-                if desired == 0:
-                    return ZaberMessage(self._address(i), ZaberCommand.STOP, NO_DATA)
-                return ZaberMessage(self._address(i), ZaberCommand.MOVE_SPEED, desired)
-        return None
+        i = self._turns.velocity(now)
+        if i is None:
+            return None
+        desired = self._turns.desired[i]
+        if desired == 0:
+            return ZaberMessage(self._address(i), ZaberCommand.STOP, NO_DATA)
+        return ZaberMessage(self._address(i), ZaberCommand.MOVE_SPEED, desired)
 
     def _safe_speed(self, speed: int) -> int:
         """Return `safe_speed` of a desired speed, from the cache if possible."""
@@ -270,34 +238,32 @@ class ZaberChain:
 
     def _address(self, axis: int) -> int:
         """Return the device number that addresses the unit of an axis: its alias during polling."""
-        unit = self.axes[axis]
+        unit = self.units[axis]
         return unit.alias if self.polling and unit.alias is not None else unit.device
 
     def _next_poll(self, now: float) -> ZaberMessage | None:
-        count = len(self.axes)
-        for k in range(count):
-            i = (self._poll_turn + k) % count
-            if i in self.lost or now < self._away[i]:
-                continue
-            device = self.axes[i].device
-            # A stopping axis is polled alternately for its status and its position.
-            status = i in self.stopping and self.counts[i].polls % 2 == 0
-            command = ZaberCommand.STATUS if status else ZaberCommand.POSITION
-            if (device, ZaberCommand.POSITION) in self._pending or (device, ZaberCommand.STATUS) in self._pending:
-                continue
-            self._poll_turn = i if self.estimates[i].doubtful else i + 1
-            read = max(self._free, now) + MESSAGE_TIME_S
-            deadline = now + self.line.deadline
-            self._pending[device, command] = _ExpectedReply(deadline, i, True, read + MESSAGE_TIME_S, self._free < now)
-            self.counts[i].polls += 1
-            if not status:
-                self.estimates[i].expect(read)
-            return ZaberMessage(self._address(i), command, NO_DATA)
-        return None
+        i = self._turns.poll(lambda i: now < self._away[i] or self._polled(self.units[i].device))
+        if i is None:
+            return None
+        # A stopping axis is polled alternately for its status and its position.
+        status = i in self.axes.stopping and self.axes.counts[i].polls % 2 == 1
+        command = ZaberCommand.STATUS if status else ZaberCommand.POSITION
+        read, deadline = max(self._free, now) + MESSAGE_TIME_S, now + self.line.deadline
+        expected = _ExpectedReply(deadline, i, True, read + MESSAGE_TIME_S, self._free < now)
+        self._pending[self.units[i].device, command] = expected
+        if not status:
+            self.axes.estimates[i].expect(read)
+        return ZaberMessage(self._address(i), command, NO_DATA)
+
+    def _polled(self, device: int) -> bool:
+        """Return whether a unit has not answered its last poll yet."""
+        return (device, ZaberCommand.POSITION) in self._pending or (device, ZaberCommand.STATUS) in self._pending
 
     def _plausible(self, message: ZaberMessage) -> bool:
         """Return whether a message is an expected or unsolicited reply from a unit of this chain."""
         device, command, data = message
+        if command == ZaberCommand.SERIAL_NUMBER and device in self._index and not self.polling:
+            return True  # a second unit with this number may have sent it; `identified` detects this
         if (device, command) in self._pending:
             return command != ZaberCommand.POSITION or -MAX_POSITION <= data <= MAX_POSITION
         if device not in self._index:
@@ -310,6 +276,8 @@ class ZaberChain:
         device, command, data = message
         axis, request = self._index[device], self._request
         expected = self._pending.get((device, command))
+        if command == ZaberCommand.SERIAL_NUMBER:
+            self.axes.identified(axis, "serial number", data, events, 2)
         if expected is None:
             if command == ZaberCommand.ERROR:
                 if request is not None and request.axis == axis:  # the error may belong to the previous setting
@@ -320,10 +288,10 @@ class ZaberChain:
                     events.append(UnsolicitedError(axis, data))
             return
         if expected.poll and command == ZaberCommand.STATUS and data not in STATUSES:
-            self.counts[axis].rejected += 1
-            return  # the deadline remains
+            self.axes.counts[axis].rejected += 1
+            return  # continue to wait for the reply
         del self._pending[device, command]
-        self._misses[axis] = 0
+        self._turns.answers(axis)
         if expected.poll:
             # A backlog delays the time at which the line is free.
             self._free += self._backlog.observe(now - expected.due, expected.idle)
@@ -332,45 +300,29 @@ class ZaberChain:
             events.append(Reply(data))
         elif command == ZaberCommand.STATUS:
             self._check_stop(axis, data, events)
-        elif self.estimates[axis].correct(data):
-            self.counts[axis].readings += 1
         else:
-            self._doubt(axis, events)
-
-    def _doubt(self, axis: int, events: list[Happening]) -> None:
-        """Process an implausible position reading: the reading, or an earlier command, was damaged in transit."""
-        self.counts[axis].rejected += 1
-        self._poll_turn = axis
-        if self._sent_at[axis] < math.inf:
-            self._sent_at[axis] = -math.inf  # repeat the velocity
-        if self.estimates[axis].rejected >= MAX_UNEXPECTED_READINGS:
-            self.estimates[axis].forget()
-            events.append(UnexpectedMotion(axis))
+            self._turns.read(axis, data, events)
 
     def _check_stop(self, axis: int, status: int, events: list[Happening]) -> None:
         """Process the status of a stopping axis: repeat the stop if the unit ignored it."""
         if status == ZaberStatus.IDLE:
-            self.stopping.pop(axis, None)
-        elif axis in self.stopping and status != ZaberStatus.STOPPING:
-            self.stopping[axis] += 1
-            if status == ZaberStatus.HOMING and self.stopping[axis] >= STOP_ATTEMPTS:
-                self.stopping[axis] = 0
+            self.axes.stopping.pop(axis, None)
+        elif axis in self.axes.stopping and status != ZaberStatus.STOPPING:
+            self.axes.stopping[axis] += 1
+            if status == ZaberStatus.HOMING and self.axes.stopping[axis] >= STOP_ATTEMPTS:
+                self.axes.stopping[axis] = 0
                 self._urgent.append((axis, ZaberCommand.RESET))
                 events.append(ResetDone(axis))
             else:
                 self._urgent.append((axis, ZaberCommand.STOP))
 
     def _miss(self, axis: int, poll: bool, events: list[Happening], now: float) -> None:
-        self.counts[axis].missed += 1
-        # The units may have lost the message frame; this pause resynchronises them.
+        self.axes.counts[axis].missed += 1
+        # The units may have lost the message boundaries; this pause resynchronises them.
         self._quiet = max(self._quiet, max(self._free, now) + 1.25 * RESYNC_GAP_S)
         if not poll:
             self._request = None
             events.append(Reply())
             return
-        self._poll_turn = axis
-        self._misses[axis] += 1
-        if self._misses[axis] >= MAX_MISSES and axis not in self.lost:
-            self.lost.add(axis)
-            self.stopping.pop(axis, None)
-            events.append(ReplyLost(axis))
+        self._turns.poll_next(axis)
+        self._turns.miss(axis, events, "a unit")

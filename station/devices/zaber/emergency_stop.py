@@ -7,12 +7,9 @@ A homing unit ignores a stop: this module resets such a unit, as the driver does
 
 from collections import Counter
 from collections.abc import Mapping, Set
-from functools import partial
-from typing import Any
 
-from station.config.robots import RobotFile
-from station.devices.interfaces import Clock, EmergencyStop, NotStopped
-from station.devices.links.link import LinkError, SerialLink, lock_file
+from station.devices.interfaces import Clock, NotStopped
+from station.devices.links.link import LinkError, SerialLink
 from station.devices.zaber.chain import RESTART_S, STATUSES, STOP_ATTEMPTS
 from station.devices.zaber.protocol import (
     BAUD,
@@ -33,9 +30,9 @@ STOP_BYTES, STATUS_REQUEST_BYTES = (
 )
 #: Time limit for the stop of one port; the same time is available again after the reset of a unit [s].
 PORT_TIMEOUT_S = 2.0
-#: Time from the first stop to the next, with a pause that resynchronises units that lost the message boundaries [s].
+#: Time from the first stop to the second [s]; its pause resynchronises units that have lost the message boundaries.
 REPEAT_INTERVAL_S = MESSAGE_TIME_S + 1.5 * RESYNC_GAP_S
-REPLY_TIMEOUT_S = 0.12  #: interval at which stop and status query are then repeated [s]
+REPLY_TIMEOUT_S = 0.12  #: interval at which stop and status query are repeated after the second stop [s]
 #: A port is opened again after this silence of its units, because another process may still have used the port [s].
 SILENCE_TIMEOUT_S = 0.2
 REST_STATUSES = (ZaberStatus.IDLE, ZaberStatus.STOPPING)
@@ -45,25 +42,8 @@ REST_STATUSES = (ZaberStatus.IDLE, ZaberStatus.STOPPING)
 Units = Mapping[str, Set[int]]
 
 
-def zaber_emergency_stop(options: Mapping[str, Any], robot: RobotFile) -> EmergencyStop:
-    """Return the emergency stop of the chains in `[devices.stages]`."""
-    units = stage_units(options, len(robot.joints))
-    for port in units:
-        lock_file(port)  # finds the folder for temporary files now, because the search writes a test file there
-    return partial(stop_stages, units)
-
-
-def stage_units(options: Mapping[str, Any], joints: int) -> Units:
-    """Return the units in the table `[devices.stages]` of a station with this number of joints."""
-    found: dict[str, set[int]] = {}
-    stages: Any = options.get("joints") or {number: {"device": number} for number in range(1, joints + 1)}
-    for stage in stages.values():
-        found.setdefault(stage.get("port") or options["port"], set()).add(stage["device"])
-    return found
-
-
 def stop_stages(units: Units, clock: Clock, patience: float = PORT_TIMEOUT_S) -> str:
-    """Stop these units, and return a human-readable result with the time until the first stop command.
+    """Stop all `units`, and return a human-readable result with the time until the first stop command.
 
     The stop is attempted on every port, even if it fails on others. `patience` is the time limit of each port [s].
 
@@ -95,7 +75,7 @@ class _Port:
         self._sent_after = 0.0  # time until the first stop command [s]
         self._next = self._received = start
         self._statuses: dict[int, int] = {}
-        self._ignored = Counter[int]()  # stops ignored by each homing unit
+        self._ignored = Counter[int]()  # number of stops that each unit has ignored while it homes
         self._reset: set[int] = set()
 
     def advance(self, now: float) -> None:
@@ -152,12 +132,12 @@ class _Port:
     def result(self) -> str:
         stages = f"{len(self._units)} stages on {self._name}"
         if self.done:
-            sent = f"commanded {1e3 * self._sent_after:.0f} ms after detection"
+            sent = f"commanded {1e3 * self._sent_after:.0f} ms after the emergency stop started"
             reset = f"; number {_list_units(self._reset)} homed and was reset: home again" if self._reset else ""
             return f"{stages} stop, {sent}{reset}"
         if self._sent_after and self._statuses:
             silent = _list_units(self._units - self._stopping)
-            return f"of {stages} number {silent} was commanded to stop and has not confirmed: press the emergency stop"
+            return f"{stages}: number {silent} was commanded to stop and has not confirmed: press the emergency stop"
         if self._sent_after:
             return f"the stages on {self._name} were commanded to stop and do not answer: press the emergency stop"
         return f"the stages on {self._name} cannot be commanded to stop ({self._problem}): press the emergency stop"

@@ -13,6 +13,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from core.errors import CtrError
+from station.devices.kernel.line import AxisLost, TwoDevices, UnexpectedMotion, Unread
 
 BAUD = 9600  #: baud rate, fixed in the T-series; 8N1 without handshake [bit/s]
 BYTE_TIME_S = 10.0 / BAUD  #: transmission time of a byte [s]
@@ -20,8 +21,8 @@ MESSAGE_BYTES = 6  #: length of a message [bytes]
 MESSAGE_TIME_S = MESSAGE_BYTES * BYTE_TIME_S  #: 6.25 ms per message: 160 messages per second in each direction
 RESYNC_GAP_S = 0.010  #: a unit drops a message if the pause between two of its bytes is longer [s]
 
-SPEED_UNIT = 9.375  #: unit of speeds in messages [microsteps/s]; other in firmware 6 and later
-ACCELERATION_UNIT = 11250.0  #: unit of accelerations in messages [microsteps/s^2]; other in firmware 6 and later
+SPEED_UNIT = 9.375  #: unit of speeds in messages [microsteps/s]; different from firmware 6 on
+ACCELERATION_UNIT = 11250.0  #: unit of accelerations in messages [microsteps/s^2]; different from firmware 6 on
 MAX_POSITION = 16_777_215  #: largest value that the command Set Maximum Position accepts [microsteps]
 MICROSTEP_RESOLUTION = 64  #: factory setting: microsteps per full step of the motor
 
@@ -41,9 +42,6 @@ class ZaberCommand(IntEnum):
     MOVE_TRACKING = 8
     LIMIT_ACTIVE = 9
     MANUAL_MOVE = 10
-    STORE_POSITION = 16
-    RETURN_STORED = 17
-    MOVE_STORED = 18
     MOVE_ABSOLUTE = 20
     MOVE_RELATIVE = 21
     MOVE_SPEED = 22
@@ -64,7 +62,6 @@ class ZaberCommand(IntEnum):
     SET_LOCK = 49
     DEVICE_ID = 50
     FIRMWARE = 51
-    VOLTAGE = 52
     SETTING = 53
     STATUS = 54
     ECHO = 55
@@ -79,7 +76,6 @@ class Mode(IntEnum):
     NO_AUTO_REPLY = 1 << 0  #: the unit answers only the commands Return, Echo, Renumber and Read
     NO_KNOB = 1 << 3
     MOVE_TRACKING = 1 << 4
-    NO_MANUAL_TRACKING = 1 << 5
     MESSAGE_IDS = 1 << 6
     HOMED = 1 << 7
 
@@ -189,7 +185,7 @@ def split_id(word: int) -> tuple[int, int]:
 
 
 def top_speed(resolution: int) -> int:
-    """Return the largest speed or acceleration setting that units accept at a resolution [speed or acc. units]."""
+    """Return the largest setting of speed or acceleration that units accept at a resolution [their units]."""
     return 512 * resolution - 1
 
 
@@ -212,7 +208,7 @@ class ZaberParser:
 
         `gap` is the length of a silence after which an incomplete message is dropped [s].
         """
-        self.dropped = 0  #: bytes that belong to no message
+        self.dropped = Unread()  #: bytes that belong to no message
         self.resyncs = 0  #: how many times the message boundaries were lost
         self._plausible = plausible
         self._gap = gap
@@ -237,7 +233,7 @@ class ZaberParser:
         if len(buffer) < MESSAGE_BYTES:
             return []
         found: list[ZaberMessage] = []
-        start, skipped = 0, 0
+        start = 0
         while len(buffer) - start >= MESSAGE_BYTES:
             message = ZaberMessage._make(_FRAME.unpack_from(buffer, start))
             if self._plausible is None or self._plausible(message):
@@ -247,14 +243,18 @@ class ZaberParser:
             else:
                 self.resyncs += not self._lost
                 self._lost = True
+                self.dropped.add(bytes((buffer[start],)))
                 start += 1
-                skipped += 1
-        self.dropped += skipped
         del buffer[:start]
         return found
 
+    @property
+    def unread(self) -> bytes:
+        """Newest bytes that belong to no message or to an incomplete one."""
+        return bytes(self.dropped.last + self._buffer)
+
     def _drop(self, count: int) -> None:
-        self.dropped += count
+        self.dropped.add(bytes(self._buffer[:count]))
         self.resyncs += 1
         del self._buffer[:count]
 
@@ -275,20 +275,8 @@ class Reply(NamedTuple):
     error: int | None = None  #: error code; None: no error reply
 
 
-class ReplyLost(NamedTuple):
-    """Event: an axis no longer answers."""
-
-    axis: int
-
-
 class ResetDone(NamedTuple):
     """Event: the host has reset an axis that did not stop its homing; the position of the axis is unknown."""
-
-    axis: int
-
-
-class UnexpectedMotion(NamedTuple):
-    """Event: an axis does not move as commanded."""
 
     axis: int
 
@@ -300,7 +288,7 @@ class UnsolicitedError(NamedTuple):
     code: int
 
 
-Happening = Reply | ReplyLost | ResetDone | UnexpectedMotion | UnsolicitedError
+Happening = Reply | AxisLost | ResetDone | TwoDevices | UnexpectedMotion | UnsolicitedError
 
 
 #: Commands that units execute with any data, and Restore, which units execute with data 0.
@@ -344,4 +332,4 @@ def safe_speed(speed: int, listeners: Collection[int]) -> int:
                 low not in UNCONDITIONAL_COMMANDS and not (low in listeners and high in UNCONDITIONAL_COMMANDS)
             ):
                 return near
-    raise AssertionError("fewer than 256 low bytes are taken")
+    raise AssertionError(f"no speed near {speed} speed units has safe bytes")

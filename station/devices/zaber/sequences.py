@@ -1,28 +1,37 @@
-"""Connects and homes Zaber units by sequences of queries and settings, one at a time.
+"""Scripts that identify, set up and home Zaber units; `kernel/stages.py` runs them.
 
-The caller runs the sequences: a sequence yields a request or a waiting time, and receives the reply to the request.
-The sequences read every setting back, because the units' automatic replies are switched off.
+The scripts read every setting back, because the units' automatic replies are switched off.
 """
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from station.devices.reach import reach
-from station.devices.zaber.chain import ZaberChain
-from station.devices.zaber.estimate import AxisEstimate
+from station.devices.kernel.line import no_answer
+from station.devices.kernel.setting import Setting
+from station.devices.kernel.stages import AxisFault, Port
+from station.devices.kernel.startup import Axes, Script, Value
+from station.devices.zaber.chain import Axis, LineSettings, ZaberChain
 from station.devices.zaber.protocol import (
+    BAUD,
+    FIRST_ALIAS,
+    MAX_POSITION,
     MICROSTEP_RESOLUTION,
     Code,
     Mode,
     Reply,
     Request,
+    ResetDone,
+    UnsolicitedError,
     ZaberCommand,
     ZaberError,
+    ZaberMessage,
     ZaberStatus,
+    alias_number,
+    encode,
     error_text,
 )
-from station.devices.zaber.setup import PortSetup, StageSetup
+from station.devices.zaber.setup import StageSetup
 
 
 class Identity(NamedTuple):
@@ -33,245 +42,190 @@ class Identity(NamedTuple):
     serial: int | None  #: serial number; None for old units, which have none
 
 
-class Units:
-    """State of all stages' units; identities and homing states persist when the ports change."""
+#: Maximum position of a unit whose homing has not been completed [microsteps]. A unit sets its flag HOMED before it has
+#: turned back, and the flags of the units that home later are still set.
+UNFINISHED = MAX_POSITION - 1
+#: Settings that a unit keeps without power. Each is read, set and read back.
+SETTINGS = {
+    ZaberCommand.SET_MODE: Setting(
+        "mode", "bits of replies, knob and homing (0: no automatic reply, 3: no knob, 7: homed)", "set"
+    ),
+    ZaberCommand.SET_RESOLUTION: Setting("resolution", "microsteps per step; a change loses the position"),
+    ZaberCommand.SET_HOME_OFFSET: Setting("home offset", "count at the home sensor"),
+    ZaberCommand.SET_ALIAS: Setting("alias", "second device number, used while positions are polled"),
+    ZaberCommand.SET_ACCELERATION: Setting("acceleration", "braking distances assume at least it"),
+    ZaberCommand.SET_HOME_SPEED: Setting("home speed", "speed towards the home sensor"),
+    ZaberCommand.SET_MAXIMUM: Setting("maximum position", "end of the travel, and mark of an unfinished homing"),
+}
+MAX_ATTEMPTS = 6  #: largest number of times that a query is sent until two replies agree
+MAX_COMPLAINTS = 10  #: number of unsolicited errors of a unit that are kept
 
-    def __init__(self, setups: Sequence[StageSetup]) -> None:
-        self.setups = tuple(setups)
-        self.identities: list[Identity | None] = [None for _ in setups]
-        self.homed = [False for _ in setups]
-        self.home_again: set[int] = set()  #: stages that must be homed even if their units report to be homed
-        self.homing_distance = [0.0 for _ in setups]  #: distance moved since an unfinished homing began [rad or m]
-        self.ports: tuple[PortSetup, ...] = ()
-        self.chains: list[ZaberChain] = []  #: one for each port
-        self.where: list[tuple[ZaberChain, int]] = []  #: chain and axis of each stage
 
-    def estimate(self, i: int) -> AxisEstimate:
-        """Return the position estimate of a stage's axis [microsteps]."""
-        chain, axis = self.where[i]
-        return chain.estimates[axis]
+class ZaberProtocol:
+    """Zaber T-series units on one chain or on several."""
 
-    def alias(self, i: int) -> int:
-        """Return the alias of a stage's unit."""
-        chain, axis = self.where[i]
-        return chain.axes[axis].alias or 0
+    def __init__(self, setups: Sequence[StageSetup], settings: LineSettings | None = None) -> None:
+        self.axes, self._settings = Axes(setups), settings or LineSettings()
+        self._complaints: list[list[str]] = [[] for _ in setups]  # errors that units reported without a request
+        self._homing_distance = [0.0 for _ in setups]  # distance moved since an unfinished homing began [rad or m]
+        self._chains: list[ZaberChain] = []
+        self._where: dict[int, tuple[ZaberChain, int]] = {}
+        self._refusal: int | None = None  # error code of the last error reply
 
-    def name(self, i: int) -> str:
-        """Return the name of a stage, for messages."""
-        return f"the stage {self.setups[i].joint.name}"
+    def session(self, ports: Sequence[Port], *, again: bool) -> Sequence[ZaberChain]:
+        """Start a new session; after an earlier one all axes stop, and no confirmation is awaited.
+
+        Raises:
+            ZaberError: two units of a chain have one number, or a unit has the number of an alias.
+        """
+        self._chains = []
+        for link, stages in ports:
+            setups = [self.axes.setups[i] for i in stages]
+            axes = [Axis(s.device, s.top, s.acceleration, s.maximum, alias_number(k)) for k, s in enumerate(setups)]
+            if len({axis.device for axis in axes}) < len(axes):
+                raise ZaberError(f"two stages on {link.name} have the same device number; renumber the chain")
+            if any(axis.device >= FIRST_ALIAS for axis in axes):
+                raise ZaberError(
+                    f"a stage on {link.name} has a device number beyond {FIRST_ALIAS - 1}; from {FIRST_ALIAS} on "
+                    "numbers are used as aliases: renumber the chain"
+                )
+            chain = ZaberChain(axes, self._settings)
+            self._chains.append(chain)
+            self._where |= {i: (chain, k) for k, i in enumerate(stages)}
+            if again:
+                chain.send_stops()
+        return self._chains
+
+    def happened(self, i: int, event: Any, connected: bool) -> AxisFault | None:  # noqa: ARG002 - not needed
+        """Process an event of a unit, and return the fault that it means."""
+        match event:
+            case UnsolicitedError(_, code):
+                self._complaints[i] = [*self._complaints[i][1 - MAX_COMPLAINTS :], error_text(code)]
+            case ResetDone():
+                self.axes.must_home(i)
+                self.axes.estimates[i].forget()
+        return None
+
+    def warning(self, i: int) -> str:  # noqa: ARG002 - units report no warnings
+        """Return an empty text, because units report no warnings."""
+        return ""
 
     def address(self, i: int) -> str:
-        """Return the name of a stage's joint with its device number and its port, for the details of messages."""
-        link = next(port.link for port in self.ports if i in port.stages)
-        return f"{self.setups[i].joint.name}: device {self.setups[i].device} on {link.name}"
+        """Return the device number of a unit, for the details of messages."""
+        return f"device {self.axes.setups[i].device}"
 
-    def reach(self, i: int) -> str:
-        """Return how far a stage that no longer receives commands can still move, as text."""
-        chain, axis = self.where[i]
-        setup, count, speed = self.setups[i], chain.estimates[axis].position, chain.sent[axis]
-        end = setup.position(setup.maximum if speed > 0 else 0)
-        return reach(setup.joint, setup.position(count), end, speed != 0)
-
-
-class HomingStep(NamedTuple):
-    """Motion of one axis to its home sensor."""
-
-    joint: str
-    unit: str
-    way: float  #: distance of the motion [unit]
-    exact: bool  #: whether the start position is known; if not, `way` is the longest possible distance
-    speed: float  #: speed of the motion [unit/s]
-
-
-def homing_step(setup: StageSetup, count: float | None) -> HomingStep:
-    """Return the homing motion of a stage from `count` [microsteps]; None: the position is unknown.
-
-    Units home towards lower counts. A rotation stage passes its sensor once per turn; a rotation stage that starts
-    below its zero turns back up by one turn after it has found the sensor.
-    """
-    turns, step, joint = setup.joint.motion == "rotation", setup.joint.microstep, setup.joint
-    turn = 2.0 * math.pi
-    if count is None:
-        way = turn if turns else setup.maximum * step
-    else:
-        above = (count - setup.home_count) * step
-        way = above if above >= 0.0 or not turns else 2.0 * turn + above
-    return HomingStep(joint.name, "rad" if turns else "m", abs(way), count is not None, setup.home_speed)
-
-
-class Homing:
-    """Progress of the homing motions of all axes, which home one after the other."""
-
-    def __init__(self, steps: Sequence[HomingStep]) -> None:
-        self._steps = tuple(steps)
-        self._at, self._since = 0, 0.0
-
-    def start(self, number: int, now: float) -> None:
-        """Record that the homing motion with the index `number` starts at `now` [s]."""
-        self._at, self._since = number, now
-
-    def progress(self, now: float) -> Mapping[str, Any]:
-        """Return the moving axis, its number `of` all, distance `gone` of `way` [unit], and remaining time [s]."""
-        step = self._steps[self._at]
-        gone = min(step.way, (now - self._since) * step.speed)
-        left = (step.way - gone) / step.speed + sum(each.way / each.speed for each in self._steps[self._at + 1 :])
-        return {
-            "joint": step.joint, "number": self._at + 1, "of": len(self._steps), "gone": gone, "way": step.way,
-            "exact": step.exact, "unit": step.unit, "left_s": left,
-        }  # fmt: skip
-
-
-MAX_ATTEMPTS = 6  #: largest number of times that a query is sent until two replies agree
-STOP_TIMEOUT_S = 5.0  #: time in which a unit must confirm a stop; a reset of the unit takes 1 s of this time [s]
-
-Script = Generator[Request | float, Any, None]  #: yields requests, or waiting times [s]; receives replies
-
-
-class Sequences:
-    """The sequences that connect and home units; these generators raise `ZaberError` if they cannot continue."""
-
-    def __init__(self, units: Units) -> None:
-        self.now = -math.inf  #: time [s], set by the caller that runs a sequence
-        self._units = units
-        self.homing: Homing | None = None  #: progress of the latest homing
-        self._refusal: int | None = None  # error code of the last error reply
+    def details(self, i: int) -> Mapping[str, Any]:
+        """Return number and errors of a unit."""
+        chain, _ = self._where[i]
+        lost, complaints = chain.parser.dropped.count, list(self._complaints[i])
+        return {"device": self.axes.setups[i].device, "lost_bytes": lost, "complaints": complaints}
 
     def connect(self) -> Script:
         """Identify and set up every unit, then wait for the positions of all homed stages."""
-        units = self._units
-        for i, setup in enumerate(units.setups):
-            name = units.name(i)
-            device_id = yield from self._read_twice(i, ZaberCommand.DEVICE_ID)
-            if device_id is None:
-                raise ZaberError(f"{name} does not answer; is it powered, plugged in and numbered {setup.device}?")
-            firmware = yield from self._read_twice(i, ZaberCommand.FIRMWARE)
-            if firmware is None or not 500 <= firmware < 600:
-                raise ZaberError(f"{name} has firmware {(firmware or 0) / 100:.2f}; 5.00 ... 5.99 is supported")
-            serial = yield from self._read_twice(i, ZaberCommand.SERIAL_NUMBER)
-            found, before = Identity(device_id, firmware, serial), units.identities[i]
-            for what, value, expected in (
-                ("device ID", device_id, setup.device_id if before is None else before.device_id),
-                ("serial number", serial, setup.serial if before is None else before.serial),
-            ):
-                if expected is not None and value != expected:
-                    raise ZaberError(f"{name} has {what} {value}; {expected} is expected: is it another unit?")
+        for i, setup in enumerate(self.axes.setups):
+            yield from self._identify(i)
             mode = yield from self._need(i, ZaberCommand.SET_MODE)
             resolution = yield from self._need(i, ZaberCommand.SET_RESOLUTION)
             if resolution != MICROSTEP_RESOLUTION:
                 mode &= ~Mode.HOMED  # a position counted with another microstep size is invalid
             # Unrequested positions and a turned knob would invalidate the estimate, which uses the velocities sent.
             mode = (mode | Mode.NO_AUTO_REPLY | Mode.NO_KNOB) & ~(Mode.MOVE_TRACKING | Mode.MESSAGE_IDS)
+            finished = (yield from self._need(i, ZaberCommand.SET_MAXIMUM)) != UNFINISHED
+            chain, axis = self._where[i]
             for command, data in (
                 (ZaberCommand.SET_MODE, mode),
                 (ZaberCommand.SET_RESOLUTION, MICROSTEP_RESOLUTION),
                 (ZaberCommand.SET_HOME_OFFSET, 0),
-                (ZaberCommand.SET_ALIAS, units.alias(i)),
+                (ZaberCommand.SET_ALIAS, chain.units[axis].alias or 0),
                 (ZaberCommand.SET_ACCELERATION, setup.acceleration),
                 (ZaberCommand.SET_HOME_SPEED, setup.home_units),
-                (ZaberCommand.SET_MAXIMUM, setup.maximum),
+                (ZaberCommand.SET_MAXIMUM, setup.maximum if finished else UNFINISHED),
             ):
-                yield from self._set(i, command, data)
-            units.identities[i] = found
-            units.homed[i] = bool(mode & Mode.HOMED) and i not in units.home_again
-            units.estimate(i).forget()
-        for chain in units.chains:
+                found = yield from self._set(i, command, data)
+                self.axes.record(i, SETTINGS[command], found, data)
+            self.axes.homed[i] = bool(mode & Mode.HOMED) and finished and i not in self.axes.home_again
+            self.axes.estimates[i].forget()
+        for chain in self._chains:
             chain.polling = True
-        yield from self._settle()
+            # A unit that is not homed may still execute a velocity of an earlier session, because `settle` waits for
+            # the rest of homed units only.
+            if not all(homed for i, homed in enumerate(self.axes.homed) if self._where[i][0] is chain):
+                chain.stop()
+        yield from self.axes.stopped(self._stopping)
+        yield from self.axes.settle()
 
     def home(self) -> Script:
-        """Home the translations first, then one rotation after the other."""
-        units = self._units
-        yield from self._confirm_stops()
-        order = sorted(range(len(units.setups)), key=lambda i: units.setups[i].joint.motion != "translation")
-        self.homing = Homing([homing_step(units.setups[i], self._count(i)) for i in order])
-        for number, i in enumerate(order):
-            setup, name = units.setups[i], units.name(i)
-            self.homing.start(number, self.now)
-            units.homed[i] = False
-            units.estimate(i).forget(adrift=True)
-            mode = yield from self._need(i, ZaberCommand.SET_MODE)
-            # The flag is cleared before the homing, so that a set flag proves a completed homing.
-            yield from self._set(i, ZaberCommand.SET_MODE, mode & ~Mode.HOMED)
-            reach = max(setup.maximum * setup.joint.microstep, 2.0 * math.pi) / setup.home_speed
-            give_up = self.now + 2.0 * reach + 10.0
-            for _ in range(3):
-                started = self.now
-                try:
-                    yield Request(i, ZaberCommand.HOME)
-                    yield from self._rest(i, give_up, "homing")
-                finally:
-                    units.homing_distance[i] += (self.now - started) * setup.home_speed
-                mode = yield from self._need(i, ZaberCommand.SET_MODE)
-                if mode & Mode.HOMED:
-                    break
-            else:
-                raise ZaberError(f"{name} stopped without reaching its home sensor; is it free to move?")
-            if setup.joint.motion == "rotation" and units.homing_distance[i] > math.pi:
-                yield from self._turn_back(i)
-            units.homing_distance[i] = 0.0
+        """Home every unit."""
+        yield from self.axes.home_at_rest(self, self._stopping)
+
+    def mark(self, i: int, *, finished: bool) -> Script:
+        """Mark a unit as homed, or not, by its maximum position."""
+        setup = self.axes.setups[i]
+        if finished:
+            self._homing_distance[i] = 0.0
             if setup.home_count:
                 yield from self._set(i, ZaberCommand.SET_POSITION, setup.home_count)
-            units.estimate(i).forget()
-            units.homed[i] = True
-            units.home_again.discard(i)
-        yield from self._settle()
+        yield from self._set(i, ZaberCommand.SET_MAXIMUM, setup.maximum if finished else UNFINISHED)
 
-    def _count(self, i: int) -> float | None:
-        """Return the position of a stage [microsteps]; None if the position is unknown."""
-        estimate = self._units.estimate(i)
-        return estimate.position if self._units.homed[i] and estimate.known else None
+    def seek(self, i: int, give_up: float) -> Value[float]:
+        """Move a unit to its home sensor, and return how far it moved [rad or m], computed from the time."""
+        mode = yield from self._need(i, ZaberCommand.SET_MODE)
+        # The flag is cleared before the homing, so that a set flag proves a completed homing.
+        yield from self._set(i, ZaberCommand.SET_MODE, mode & ~Mode.HOMED)
+        for _ in range(3):
+            started = self.axes.now
+            try:
+                yield Request(i, ZaberCommand.HOME)
+                yield from self._rest(i, give_up, "homing")
+            finally:
+                self._homing_distance[i] += (self.axes.now - started) * self.axes.setups[i].home_speed
+            if (yield from self._need(i, ZaberCommand.SET_MODE)) & Mode.HOMED:
+                return self._homing_distance[i]
+        raise ZaberError(f"{self.axes.name(i)} stopped without reaching its home sensor; is it free to move?")
 
-    def _turn_back(self, i: int) -> Script:
-        """Turn a rotation stage that homed one turn too low up by one turn to its zero, at the homing speed.
-
-        A rotation stage passes its home sensor once per turn while it moves down. If the stage started within half a
-        turn of its zero and moved more than half a turn to the sensor, it started below zero.
-        """
-        setup, name = self._units.setups[i], self._units.name(i)
+    def turn_back(self, i: int, give_up: float) -> Script:
+        """Turn a rotation up by one turn; the unit counts zero at its sensor, so its count is then one turn."""
+        setup = self.axes.setups[i]
         turn = round(2.0 * math.pi / setup.joint.microstep)
         yield from self._set(i, ZaberCommand.SET_SPEED, setup.home_units)
-        yield from self._set(i, ZaberCommand.SET_MAXIMUM, max(turn, setup.maximum))
         yield Request(i, ZaberCommand.MOVE_RELATIVE, turn)
-        seconds = 2.0 * math.pi / setup.home_speed
-        yield from self._rest(i, self.now + 2.0 * seconds + 10.0, "turning back to its zero")
+        yield from self._rest(i, give_up, "turning back to its zero")
         position = yield from self._read_twice(i, ZaberCommand.POSITION)
-        yield from self._set(i, ZaberCommand.SET_MAXIMUM, setup.maximum)
         if position != turn:
-            raise ZaberError(f"{name} is at {position} microsteps after turning back to its zero, not at {turn}")
+            raise ZaberError(
+                f"{self.axes.name(i)} is at {position} microsteps after turning back to its zero, not at {turn}"
+            )
 
-    def _confirm_stops(self) -> Script:
-        """Wait until every unit has confirmed its last stop: until then a repeated stop could end a new motion."""
-        units = self._units
-        give_up = self.now + STOP_TIMEOUT_S
-        while moving := [i for i, (chain, axis) in enumerate(units.where) if axis in chain.stopping]:
-            if self.now > give_up:
-                raise ZaberError(f"{units.name(moving[0])} has not confirmed a stop for {STOP_TIMEOUT_S:.0f} s")
-            yield 0.02
+    def _identify(self, i: int) -> Script:
+        setup, name = self.axes.setups[i], self.axes.name(i)
+        self._where[i][0].parser.dropped.last = b""
+        device_id = yield from self.axes.first_answer(name, lambda: self._read_twice(i, ZaberCommand.DEVICE_ID))
+        if not device_id:  # the ID 0 is an echo of the query
+            check = f"is it powered, plugged in, set to {BAUD} baud and binary, and numbered {setup.device}?"
+            echo = encode(ZaberMessage(setup.device, ZaberCommand.DEVICE_ID, 0))
+            unread = self._where[i][0].parser.unread if device_id is None else echo
+            raise ZaberError(no_answer(name, unread, "messages of 6 bytes that begin with its number", check))
+        firmware = yield from self._read_twice(i, ZaberCommand.FIRMWARE)
+        if firmware is None or not 500 <= firmware < 600:
+            found = "reports no firmware version" if firmware is None else f"has firmware {firmware / 100:.2f}"
+            raise ZaberError(f"{name} {found}; 5.00 ... 5.99 is supported")
+        serial = yield from self._read_twice(i, ZaberCommand.SERIAL_NUMBER)
+        expected = {"device_id": setup.device_id, "serial": setup.serial}
+        self.axes.identify(i, Identity(device_id, firmware, serial), expected)
+
+    def _stopping(self) -> Sequence[int]:
+        return [i for i, (chain, axis) in self._where.items() if axis in chain.axes.stopping]
 
     def _rest(self, i: int, give_up: float, what: str) -> Script:
-        """Wait until a unit is idle; `give_up` is the time of the ZaberError [s], `what` describes the motion."""
-        started = self.now
+        """Wait until a unit is idle; raise ZaberError at the time `give_up` [s]. `what` describes the motion."""
+        started = self.axes.now
         yield 0.05
         while (yield from self._read_twice(i, ZaberCommand.STATUS)) not in (ZaberStatus.IDLE, None):
-            if self.now > give_up:
-                raise ZaberError(f"{self._units.name(i)} has been {what} for more than {give_up - started:.0f} s")
+            if self.axes.now > give_up:
+                raise ZaberError(f"{self.axes.name(i)} has been {what} for more than {give_up - started:.0f} s")
             yield 0.1
 
-    def _settle(self) -> Script:
-        """Wait for confirmed positions of all homed stages; a position out of range makes its stage not homed."""
-        units = self._units
-        give_up = self.now + 2.0
-        while not all(units.estimate(i).known for i in range(len(units.setups)) if units.homed[i]):
-            if self.now > give_up:
-                moving = next(i for i in range(len(units.setups)) if units.homed[i] and not units.estimate(i).known)
-                raise ZaberError(f"{units.name(moving)} does not stop: its position changes")
-            yield 0.02
-        for i, setup in enumerate(units.setups):
-            count = units.estimate(i).position
-            if units.homed[i] and not 0 <= count <= setup.maximum:
-                units.homed[i] = False  # another program has homed the unit and set another count
-
-    def _read_twice(self, i: int, command: int, data: int = 0) -> Generator[Request | float, Any, int | None]:
+    def _read_twice(self, i: int, command: int, data: int = 0) -> Value[int | None]:
         """Return a value that the unit has sent twice; None if the unit does not answer or does not have the value."""
         reply = data if command == ZaberCommand.SETTING else command
         received: set[Reply] = set()
@@ -284,21 +238,21 @@ class Sequences:
             received.add(answer)
         return None
 
-    def _need(self, i: int, setting: int) -> Generator[Request | float, Any, int]:
+    def _need(self, i: int, setting: int) -> Value[int]:
         value = yield from self._read_twice(i, ZaberCommand.SETTING, setting)
         if value is None:
-            raise ZaberError(f"{self._units.name(i)} does not report its setting {setting}")
+            raise ZaberError(f"{self.axes.name(i)} does not report its setting {setting}")
         return value
 
-    def _set(self, i: int, command: int, data: int) -> Script:
-        """Write a setting, unless it has this value already, and read it back."""
-        value = yield from self._need(i, command)
+    def _set(self, i: int, command: int, data: int) -> Value[int]:
+        """Write a setting and read it back, unless it has this value already; return the value before."""
+        found = value = yield from self._need(i, command)
         for _ in range(3):
             if value == data:
-                return
+                return found
             self._refusal = None
             yield Request(i, command, data)
             value = yield from self._need(i, command)
         why = f" ({error_text(self._refusal)})" if self._refusal else ""
         what = ZaberCommand(command).name.lower().replace("_", " ")
-        raise ZaberError(f"{self._units.name(i)}: {what} stays {value} and does not become {data}{why}")
+        raise ZaberError(f"{self.axes.name(i)}: {what} stays {value} and does not become {data}{why}")

@@ -10,7 +10,7 @@ from pydantic import Field
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.config import Serial
-from station.devices.links.link import Link
+from station.devices.kernel.axis import CountedJoint, home_of
 from station.devices.zaber.chain import LineSettings
 from station.devices.zaber.protocol import (
     ACCELERATION_UNIT,
@@ -32,7 +32,7 @@ class StageFile(Strict):
     """device number of the unit on the chain"""
     home_at: float | None = None
     """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
-    of the travel at which the unit counts 0"""
+    end of the travel at which the unit counts 0"""
     backwards: bool = False
     """whether the unit's count increases when the joint's position decreases"""
     home_speed: Positive | None = None
@@ -55,18 +55,12 @@ class ZaberFile(Strict):
 
 
 @dataclass(frozen=True)
-class StageSetup:
-    """One stage: the joint that the stage moves, and the conversion of its microstep count to a joint position."""
+class StageSetup(CountedJoint):
+    """One stage: the joint that it moves, and the conversion between its count of microsteps and joint positions."""
 
-    joint: JointFile
     device: int  #: device number on the chain
-    home_at: float  #: joint position at the home sensor [rad or m]
-    home_count: int  #: the unit's count at the home sensor; if not 0, the driver sets it after homing [microsteps]
-    maximum: int  #: hardware maximum position, which the driver sets in the unit [microsteps]
-    home_speed: float  #: speed of homing [rad/s or m/s]
     device_id: int | None = None  #: expected device ID; None: any
     serial: int | None = None  #: expected serial number; None: any, as for old units, which report no number
-    backwards: bool = False  #: whether the unit's count increases when the joint's position decreases
 
     def __post_init__(self) -> None:
         name = self.joint.name
@@ -88,33 +82,60 @@ class StageSetup:
 
     @classmethod
     def of(cls, joint: JointFile, device: int, home_at: float | None = None, backwards: bool = False) -> "StageSetup":
-        """Return the default setup, optionally with another joint position `home_at` of the home sensor [rad or m].
-
-        By default the home sensor of a rotation is at joint position 0, and that of a translation at the retracted end,
-        where the unit counts 0.
+        """Return a setup with default options; `home_at`: joint position at the home sensor [rad or m], None: default.
 
         Raises:
-            ZaberError: the sensor of a translation is inside the travel; a stage cannot move beyond its sensor.
+            ZaberError: a value is out of its range, see `of_file`.
         """
-        start, end = (joint.upper, joint.lower) if backwards else (joint.lower, joint.upper)
-        turns = joint.motion == "rotation"
-        if home_at is None:
-            home_at = 0.0 if turns else start
-        # A rotation stage without end stops may have any count at its sensor; a translation stage counts 0 there.
-        count = round(abs(home_at - start) / joint.microstep) if turns else 0
-        inside = (home_at - start) * (-1.0 if backwards else 1.0)
-        if not turns and inside > joint.microstep:
+        return cls.of_file(joint, StageFile(device=device, home_at=home_at, backwards=backwards))
+
+    @classmethod
+    def of_file(cls, joint: JointFile, file: StageFile) -> "StageSetup":
+        """Return the setup of a joint from its table.
+
+        Raises:
+            ZaberError: a value is out of its range, or the sensor of a translation is inside the travel; a stage cannot
+                move beyond its sensor.
+        """
+        setup = cls(joint, *home_of(joint, file), file.device, file.device_id, file.serial, backwards=file.backwards)
+        inside = (setup.home_at - setup._start) * (-1.0 if file.backwards else 1.0)
+        if joint.motion == "translation" and inside > joint.microstep:
             raise ZaberError(
-                f"{joint.name}: home_at {home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m; "
-                "a stage cannot move beyond its home sensor: change home_at or the joint's limits"
+                f"{joint.name}: home_at {setup.home_at:g} m is inside the travel {joint.lower:g} ... {joint.upper:g} m;"
+                " a stage cannot move beyond its home sensor: change home_at or the joint's limits"
             )
-        maximum = math.floor(abs(end - (start if turns else home_at)) / joint.microstep + 1e-6)
-        return cls(joint, device, home_at, count, maximum, 0.25 * joint.speed, backwards=backwards)
+        return setup
 
     @property
-    def step(self) -> float:
-        """Change of the joint's position per microstep [rad or m]."""
-        return -self.joint.microstep if self.backwards else self.joint.microstep
+    def _start(self) -> float:
+        """Joint position at the end of the travel from which the unit counts up [rad or m]."""
+        return self.joint.upper if self.backwards else self.joint.lower
+
+    @property
+    def home_count(self) -> int:
+        """The unit's count at the home sensor; if it is not 0, the driver sets it after homing [microsteps].
+
+        A rotation stage without end stops may have any count at its sensor; a translation stage counts 0 there.
+        """
+        turns = self.joint.motion == "rotation"
+        return round(abs(self.home_at - self._start) / self.joint.microstep) if turns else 0
+
+    @property
+    def minimum(self) -> int:
+        """Lower limit of the travel [microsteps]."""
+        return 0
+
+    @property
+    def maximum(self) -> int:
+        """Hardware maximum position, which the driver sets in the unit [microsteps]."""
+        end = self.joint.lower if self.backwards else self.joint.upper
+        start = self._start if self.joint.motion == "rotation" else self.home_at
+        return math.floor(abs(end - start) / self.joint.microstep + 1e-6)
+
+    @property
+    def velocity_step(self) -> float:
+        """Joint velocity per speed unit [rad/s or m/s]."""
+        return SPEED_UNIT * self.step
 
     @property
     def top(self) -> int:
@@ -130,15 +151,3 @@ class StageSetup:
     def acceleration(self) -> int:
         """Acceleration setting, at least the joint's value that braking distances assume [acceleration units]."""
         return math.ceil(self.joint.acceleration / self.joint.microstep / ACCELERATION_UNIT)
-
-    def position(self, microsteps: float) -> float:
-        """Return the joint position at a count of the unit [rad or m]."""
-        return self.home_at + self.step * (microsteps - self.home_count)
-
-
-@dataclass(frozen=True)
-class PortSetup:
-    """A serial line and the stages on this line."""
-
-    link: Link
-    stages: tuple[int, ...]  #: joint indices of the stages

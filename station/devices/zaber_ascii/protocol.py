@@ -10,11 +10,12 @@ import re
 from typing import NamedTuple
 
 from core.errors import CtrError
+from station.devices.kernel.line import Unread
 
 BAUD = 115_200  #: factory setting; 8N1 without handshake [bit/s]
 BYTE_TIME_S = 10.0 / BAUD  #: transmission time of a byte [s]
-SPEED_FACTOR = 1.6384  #: data of a speed per microstep/s: data = velocity * 1.6384 / microstep size
-ACCELERATION_FACTOR = 1.6384e-4  #: data of an acceleration per microstep/s^2
+SPEED_FACTOR = 1.6384  #: value of a speed in messages for 1 microstep/s: value = velocity * 1.6384 / microstep size
+ACCELERATION_FACTOR = 1.6384e-4  #: value of an acceleration in messages for 1 microstep/s^2
 MICROSTEP_RESOLUTION = 64  #: factory setting: microsteps per full step of the motor
 MAX_POSITION = 1_000_000_000  #: largest absolute value of the settings limit.min and limit.max [microsteps]
 MAX_ACCELERATION = 32_767  #: largest value of the setting accel [acceleration data]
@@ -33,7 +34,7 @@ FAULTS = {
     "FZ": "the peripheral is inactive and must be activated",
     "FH": "the hardware emergency stop is pressed, the motor has no current",
     "FV": "the supply voltage is too high or too low, the motor has no current",
-    "FO": "the motor has no current since the start or by a command",
+    "FO": "the motor has no current: it was never switched on, or a command has switched it off",
     "FC": "the current at switching on was too high",
     "FM": "the motor is too hot",
     "FD": "the driver has disabled itself, usually by overheating",
@@ -78,6 +79,11 @@ EXPECTED = frozenset({NO_FLAG, "NI", "NR", "NT", "NU"})
 def flag_text(flag: str) -> str:
     """Return a warning flag with its meaning."""
     return f"{FLAGS.get(flag, 'a flag that the manual does not list')} (flag {flag})"
+
+
+def fault_text(flag: str) -> str:
+    """Return a fault's flag with its meaning; empty for any other flag."""
+    return flag_text(flag) if flag in FAULTS else ""
 
 
 #: Meaning of the reasons with which a device rejects a command.
@@ -175,8 +181,13 @@ class LineReader:
 
     def __init__(self) -> None:
         self.checked = False  #: whether lines without a checksum are dropped
-        self.dropped = 0  #: bytes of lines that are no message
+        self.dropped = Unread()  #: bytes of lines that are no message
         self._rest = b""
+
+    @property
+    def unread(self) -> bytes:
+        """Newest bytes that belong to no message."""
+        return self.dropped.last + (b"" if self._rest.startswith((b"@", b"!", b"#")) else self._rest)
 
     def feed(self, data: bytes) -> list[Reply | Alert]:
         """Return the messages that `data` completes."""
@@ -191,8 +202,8 @@ class LineReader:
             if message is not None:
                 messages.append(message)
             elif not line.startswith(b"#"):
-                self.dropped += len(line)
+                self.dropped.add(line)
         if len(self._rest) > MAX_LINE_BYTES:
-            self.dropped += len(self._rest)
+            self.dropped.add(self._rest)
             self._rest = b""
         return messages

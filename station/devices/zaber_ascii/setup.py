@@ -10,8 +10,7 @@ from pydantic import Field
 from station.config.robots import JointFile
 from station.config.strict import Name, Positive, Strict
 from station.devices.config import Serial
-from station.devices.counted_joint import CountedJoint, home_of
-from station.devices.zaber_ascii.chain import DEADLINE_S, Axis
+from station.devices.kernel.axis import CountedJoint, home_of
 from station.devices.zaber_ascii.protocol import (
     ACCELERATION_FACTOR,
     MAX_ACCELERATION,
@@ -21,6 +20,9 @@ from station.devices.zaber_ascii.protocol import (
     ZaberAsciiError,
     speed_data,
 )
+
+#: Default of the longest time from sending a command to its reply: a USB adapter may delay bytes by 16 ms [s].
+DEADLINE_S = 0.030
 
 
 class AsciiStageFile(Strict):
@@ -32,7 +34,7 @@ class AsciiStageFile(Strict):
     """number of the axis on its device"""
     home_at: float | None = None
     """joint position at the home sensor, any number [rad or m]; default: 0 for a rotation, and for a translation the
-    of the travel at which the axis counts 0"""
+    end of the travel at which the axis counts 0"""
     backwards: bool = False
     """whether the axis's count increases when the joint's position decreases"""
     home_speed: Positive | None = None
@@ -83,13 +85,13 @@ class AsciiSetup(CountedJoint):
             ("acceleration", setup.acceleration, 1, MAX_ACCELERATION),
         ):
             if not least <= value <= most:
-                raise ZaberAsciiError(f"{joint.name}: {what} of {value} units is outside {least} ... {most}")
+                raise ZaberAsciiError(f"{joint.name}: {what} of {value} device units is outside {least} ... {most}")
         return setup
 
     @property
-    def speed_scale(self) -> float:
-        """Speed data of a velocity command per joint velocity [speed data per rad/s or m/s]."""
-        return SPEED_FACTOR / self.step
+    def velocity_step(self) -> float:
+        """Joint velocity per unit of a velocity command [rad/s or m/s]."""
+        return self.step / SPEED_FACTOR
 
     @property
     def top(self) -> int:
@@ -105,7 +107,3 @@ class AsciiSetup(CountedJoint):
     def acceleration(self) -> int:
         """Acceleration setting, at least the joint's value that braking distances assume [acceleration data]."""
         return math.ceil(self.joint.acceleration / self.joint.microstep * ACCELERATION_FACTOR)
-
-    def on_chain(self) -> Axis:
-        """Return the parameters that the chain needs."""
-        return Axis(self.device, self.axis, self.top, self.acceleration, self.minimum, self.maximum)

@@ -1,19 +1,13 @@
 "use strict";
 // Plays the cases in the page: reads frames, advances the time, shows the scene and the numbers.
 
-const TUBES = [[0.34, 0.71, 0.91], [0.34, 0.38, 0.44], [0.94, 0.89, 0.26], [0.15, 0.15, 0.15]];
-const TIPS = [
-  { name: "desired tip", colour: [0, 0.62, 0.45] },
-  { name: "measured tip (tracker)", colour: [0.9, 0.62, 0] },
-  { name: "estimated tip (model)", colour: [0, 0.45, 0.7] },
-  { name: "true tip (simulated)", colour: [0.84, 0.37, 0] },
-];
 const BALLS = [0.0022, 0.0018, 0.0016, 0.0020]; // radii in m
-const FORCE = [0.8, 0.47, 0.65];
 const ARROW = 0.1; // m for 1 N
 const UNKNOWN = -32768;
 const TAIL = 8; // seconds of the traces that are shown
 const data = JSON.parse(document.getElementById("data").textContent);
+const { tube_colours: TUBES, tip_colours: COLOURS, force_colour: FORCE } = data;
+const TIPS = ["desired tip", "measured tip (tracker)", "estimated tip (model)", "true tip (simulated)"].map((name, k) => ({ name, colour: COLOURS[k] }));
 const id = (name) => document.getElementById(name);
 const plain = (text) => String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
 const css = (colour) => `rgb(${colour.map((v) => Math.round(255 * v)).join(" ")})`;
@@ -34,7 +28,7 @@ class Case {
     this.tipAt = 1 + this.tubes.length + 3 * this.points;
   }
 
-  /** `count` numbers from `first` on, at a frame with a fraction; null where one of them is not known. */
+  /** Return `count` numbers from index `first` on, interpolated at a fractional frame; null if one is unknown. */
   positions(frame, first, count) {
     const k = Math.floor(frame), part = frame - k, next = Math.min(k + 1, this.frames - 1), row = this.positionsRow;
     const values = [];
@@ -56,7 +50,7 @@ class Case {
 
   tip(frame, number) { return this.positions(frame, this.tipAt + 3 * number, 3); }
 
-  /** Desired minus true tip, or minus the measured one, [mm]; null where one is not known. */
+  /** Return desired minus true tip, or minus measured tip without ground truth [mm]; null if one is unknown. */
   error(frame) {
     const [desired, is] = [this.tip(frame, 0), this.tip(frame, this.truth ? 3 : 1)];
     return desired && is ? add(desired, is, -1).map((v) => 1000 * v) : null;
@@ -204,7 +198,7 @@ class Picture {
     this.video.addEventListener("loadeddata", () => this.show());
   }
 
-  /** Show the frame at the cursor; while the player plays, the video runs and is only corrected. */
+  /** Show the frame at the cursor; while the player plays, the video runs and only its time is corrected. */
   show() {
     if (!this.video || this.video.readyState === 0) return;
     const time = shown.others(frame, 0, 1)[0], wanted = Math.min(Math.max(time - this.start, 0), this.video.duration);
@@ -327,4 +321,6 @@ cases.forEach((one, k) => { id("case").options[k].textContent = one.name; });
 id("choice").hidden = cases.length < 2;
 id("origin").textContent = data.simulated ? "simulated bench" : "bench";
 choose(0);
-play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
+const asked = Number(/^#t=([\d.]+)$/.exec(location.hash)?.[1] ?? NaN); // the page of a run opens the replay at a time [s]
+if (asked >= 0) go(Math.max(0, shown.times.findIndex((time) => time >= asked)));
+play(!(asked >= 0) && !matchMedia("(prefers-reduced-motion: reduce)").matches);

@@ -12,7 +12,7 @@ void main() {
   float along = abs(dot(normalize(facing), light));
   gl_FragColor = vec4(colour * (0.45 + 0.6 * along), 1.0);
 }`;
-// A segment is four corners: each knows both ends and which side of the line it is on.
+// A segment has four corners; each corner has both ends of the segment and its side of the line.
 const LINE_VERTEX = `
 attribute vec3 start; attribute vec3 end; attribute vec2 corner; attribute float moment;
 uniform mat4 view; uniform vec2 size; uniform float width; varying float when;

@@ -1,4 +1,4 @@
-"""Benches without a tracker or force sensors from the page: from homing to the report."""
+"""A bench with stages alone, operated on the page from homing to the report; the page's texts on other benches."""
 
 from pathlib import Path
 
@@ -9,12 +9,12 @@ from station.config.strict import PRESETS
 from tests.harness.chromium import bare_page, open_tab, press_until_asked, press_until_sent
 from tests.harness.serving import Served, serving
 
+#: Devices in addition to the stages, and a part of the page's note about this bench.
 NOTES = {
-    ("sensors",): "no force sensors: the force is estimated",
-    ("tracker",): "but no tracker: the loaded model computes the tip",
-    ("tracker", "sensors"): "stages alone",
+    ("tracker",): "no force sensors: the force is estimated",
+    ("sensors",): "but no tracker: the loaded model computes the tip",
+    (): "stages alone",
 }
-LIGHTS = {"stages": "stages", "tracker": "tracker", "sensors": "force sensors"}
 #: Working poses of the preset robot and of a robot that starts near its home sensors, so that homing takes seconds and
 #: not a minute [rad, m].
 USUAL_POSE = "inner_rotation = 1.5707963267948966, inner_translation = -0.100"
@@ -58,32 +58,28 @@ def circle(page: Page, station: Served) -> None:
     station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
 
 
-@pytest.mark.parametrize("missing", NOTES)
-def test_page_leads_a_smaller_bench_from_homing_to_the_report(
-    browser: Browser, missing: tuple[str, ...], robot: Path
-) -> None:
-    homes = len(missing) == 2  # the stages home in the same way on every bench
-    near_home = ("--robot", str(robot)) if homes else ()
-    with serving(*(text for kind in missing for text in ("--without", kind)), *near_home) as station:
-        station.wait_for(lambda s: s["state"] == "READY" and not s["stale"])
-        with bare_page(browser, station) as page:
-            for kind, name in LIGHTS.items():
-                named = page.locator("#lights", has_text=name)
-                expect(named).to_have_count(int(kind not in missing))
-            open_tab(page, "devices")
-            page.locator("#devices", has_text=NOTES[missing]).wait_for()
-            zero = page.get_by_role("button", name="Zero the force sensors")
-            expect(zero).to_be_visible(visible="sensors" not in missing)
-            if homes:
-                home(page, station)
-            circle(page, station)
-            page.locator("#ended").get_by_role("button", name="Result").click()
-            page.get_by_role("button", name="Report", exact=True).click()
-            report = page.frame_locator("#cover iframe")
-            report.locator("h1").first.wait_for()
-            report.locator("body", has_text="simulated").wait_for()
-            page.get_by_role("button", name="live scene").click()
-            open_tab(page, "calibrate")
-            page.locator("#calibrate .card", has_text="Force sensors").wait_for()
-            expect(page.locator("#calibrate .card", has_text="Force sensors")).to_be_enabled(enabled=not missing)
-            expect(page.locator("#calibrate .card", has_text="Latency")).to_be_enabled(enabled="tracker" not in missing)
+#: Script that returns the note of a bench with these devices.
+NOTE = "(devices) => import('/static/page/station.js').then(({ benchNote }) => benchNote(devices))"
+
+
+def test_page_leads_a_bench_with_stages_alone_from_its_start_to_the_report(browser: Browser, robot: Path) -> None:
+    alone = ("--without", "tracker", "--without", "sensors", "--robot", str(robot))
+    # The page is opened while the devices are connected.
+    with serving(*alone, connected=False) as station, bare_page(browser, station) as page:
+        expect(page.locator("#lights li")).to_have_count(1)
+        for kinds, text in NOTES.items():
+            assert text in page.evaluate(NOTE, {kind: {} for kind in ("stages", *kinds)})
+        open_tab(page, "devices")
+        page.locator("#devices", has_text=NOTES[()]).wait_for()
+        expect(page.get_by_role("button", name="Zero the force sensors")).to_be_hidden()
+        home(page, station)
+        circle(page, station)
+        page.locator("#ended").get_by_role("button", name="Result").click()
+        page.get_by_role("button", name="Report", exact=True).click()
+        report = page.frame_locator("#cover iframe")
+        report.locator("h1").first.wait_for()
+        report.locator("body", has_text="simulated").wait_for()
+        page.get_by_role("button", name="live scene").click()
+        open_tab(page, "calibrate")
+        for procedure in ("Force sensors", "Latency"):
+            expect(page.locator("#calibrate .card", has_text=procedure)).to_be_disabled()

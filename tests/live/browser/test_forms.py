@@ -13,18 +13,36 @@ def motion(page: Page, text: str) -> None:
     page.locator(".card", has_text=text).click()
 
 
-def test_page_shows_a_repeated_refusal_once_in_its_units_with_a_working_value(page: Page, station: Served) -> None:
+def test_refusal_stands_once_below_its_field_in_its_units_with_a_working_value_until_it_is_changed(
+    page: Page, station: Served
+) -> None:
     assert station.post("/api/goto").status_code == 202  # the suggested period depends on the pose
     station.wait_for(lambda s: s["state"] == "READY" and abs(s["joints"]["inner_translation"] + 0.1) < 1e-4)
     station.rest.delete("/api/operator")
     motion(page, "Move the tip along a circle")
     page.locator("#start").get_by_label("period").fill("4")
-    refused = page.locator(".note", has_text="circle cannot be followed")
+    refused = page.locator("#start .refused", has_text="circle cannot be followed")
     for _ in range(2):
         with page.expect_response("**/api/start"):
             press_until_sent(page, page.get_by_role("button", name="Start motion").click)
         refused.filter(has_text="speed of outer_rotation (20 °/s); a period of 8 s would work from here").wait_for()
     expect(refused).to_have_count(1)
+    expect(page.locator(".note")).to_have_count(0)
+    field = page.locator("#start").get_by_label("period")
+    above, below, start = (
+        field.bounding_box(),
+        refused.bounding_box(),
+        page.locator("#start .acts.sticky").bounding_box(),
+    )
+    assert above is not None
+    assert below is not None
+    assert start is not None
+    assert above["y"] < below["y"] < above["y"] + 60.0  # the next row of the form
+    assert below["y"] + below["height"] <= start["y"]  # nothing covers Start
+    expect(field).to_have_attribute("aria-invalid", "true")
+    field.fill("8")
+    expect(refused).to_have_count(0)
+    expect(field).not_to_have_attribute("aria-invalid", "true")
     assert station.status()["state"] == "READY"
 
 
@@ -57,3 +75,14 @@ def test_page_refuses_to_follow_a_target_that_no_device_measures(page: Page, sta
     page.locator("#start form", has_text="ctr-station serve --lab breathing").wait_for()
     expect(page.get_by_role("button", name="Start motion")).to_be_disabled()
     page.get_by_role("button", name="all motions").click()
+
+
+def test_explanations_of_fields_have_the_units_of_the_fields(page: Page) -> None:
+    motion(page, "Move the tip along a circle")
+    radius = page.locator("#start").get_by_label("radius", exact=True)
+    assert "[mm]" in (radius.evaluate("one => one.ariaDescription") or "")
+    told = page.locator("#start form label[title], #start form .unit[title]").evaluate_all(
+        "all => all.map((one) => one.title)"
+    )
+    assert len(told) > 20
+    assert not [text for text in told if "[m]" in text or "[m/s]" in text or "[rad]" in text]

@@ -191,7 +191,7 @@ def test_end_of_a_run_and_a_stop_are_notified_by_title_icon_sound_and_browser(
     ready_icon, tones = page.locator("#icon").get_attribute("href"), page.evaluate("tones")
     page.evaluate("window.away = true")
     # The page reports the end only of a run that it has seen, which takes a busy computer some seconds.
-    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 4.0})
+    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 8.0})
     page.wait_for_function("() => document.title.startsWith('complete · hold')")
     page.wait_for_function("() => noted.length === 1 && noted[0].startsWith('The run is complete: hold')")
     page.wait_for_function("tones => window.tones > tones", arg=tones)

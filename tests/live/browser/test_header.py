@@ -1,4 +1,4 @@
-"""The header without the scene: it shows the true state and stops the robot whatever else fails."""
+"""The header without the scene: it shows the true state and stops the robot even if other parts fail."""
 
 import signal
 

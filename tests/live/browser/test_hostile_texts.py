@@ -16,8 +16,10 @@ HOSTILE = (
     "</title></script><script>top.ran = 1</script><img src=nowhere class=hostile onerror='top.ran = 2'>"
     "\"'`${top.ran = 3}\u2028\u202e{{DATA}} <!--"
 )
+#: A title is one line, so it has no line separator.
+TITLE = HOSTILE.replace("\u2028", "")
 RUN = f"""
-title = {json.dumps(HOSTILE)}
+title = {json.dumps(TITLE)}
 start = {{ outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }}
 duration = 0.5
 settling = 0.0
@@ -44,6 +46,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorded.rename(folder / NAME)
     (folder / "calibrations" / NAME).mkdir(parents=True)
     (folder / "calibrations" / NAME / "report.json").write_text(json.dumps(FOUND), encoding="utf-8")
+    # Files that the page offers as experiments: one with a hostile title and case, and one with a hostile key.
+    (folder / "experiments").mkdir()
+    (folder / "experiments" / f"{NAME}.toml").write_text(RUN, encoding="utf-8")
+    (folder / "experiments" / "broken.toml").write_text(f"{json.dumps(HOSTILE)} = 1\n", encoding="utf-8")
     return folder
 
 
@@ -107,4 +113,19 @@ def test_hostile_text_in_operator_name_and_log_is_not_executed(hostile: Served, 
     open_tab(page, "faults")
     page.locator("#faults", has_text="top.ran = 1").wait_for()
     untouched(page)
+    hostile.rest.delete("/api/operator")
+
+
+def test_hostile_text_in_experiments_their_errors_and_the_queue_is_not_executed(hostile: Served, page: Page) -> None:
+    open_tab(page, "start")
+    page.locator("#start", has_text="top.ran = 1").first.wait_for()
+    untouched(page)
+    assert hostile.post("/api/queue", {"experiment": NAME}).status_code == 200
+    page.locator("#queue", has_text="top.ran = 1").wait_for()
+    untouched(page)
+    hostile.post("/api/stop")
+    page.locator("#state", has_text="STOPPED").wait_for()
+    untouched(page)
+    hostile.ready()
+    hostile.rest.delete("/api/queue")
     hostile.rest.delete("/api/operator")

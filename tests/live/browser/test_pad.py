@@ -1,4 +1,4 @@
-"""Jogging the tip with a simulated gamepad, whose dead man's button must be held, and with keys in their field."""
+"""Jogs of the tip with keys, and with a simulated gamepad whose dead man's button must be pressed."""
 
 import pytest
 from playwright.sync_api import Page

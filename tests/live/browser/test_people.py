@@ -159,7 +159,7 @@ def test_viewer_may_view_and_press_stop_but_starts_nothing(guarded: Served, brow
         assert "token" not in page.url
         expect(page.locator("#operator-act")).to_be_hidden()
         page.locator(".card", has_text="Keep the tip where it is").click()
-        page.locator("#start", has_text="viewers cannot start").wait_for()
+        page.locator("#start", has_text="A viewer may only view").wait_for()
         assert guarded.post("/api/start", HOLD).status_code == 202
         page.locator("#state", has_text="RUNNING").wait_for()
         page.keyboard.press("Shift+Space")

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.harness.chromium import open_tab, press_until_sent
+from tests.harness.chromium import open_tab, press_until_asked, press_until_sent
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -71,7 +71,9 @@ def test_all_cases_of_an_experiment_are_queued_by_one_press_and_reordered_paused
     page.locator("#stop").click()
     page.locator("#state", has_text="STOPPED").wait_for()
     clear = page.get_by_role("button", name="remove waiting runs from the queue")
-    press_until_sent(page, clear.click, "/api/queue", "DELETE")
+    press_until_asked(page, clear.click)
+    assert entries(station) != []  # until the user confirms
+    page.get_by_role("dialog").get_by_role("button", name="Remove", exact=True).click()
     until(lambda: entries(station) == [])
     page.locator("#queue").wait_for(state="hidden")
 
@@ -104,7 +106,7 @@ def test_tab_run_shows_the_run_in_progress_and_the_page_runs_it_again(page: Page
     station.rest.delete("/api/operator")
     now = page.locator("#now")
     now.get_by_text("load: constant: along x, magnitude 0.1 N").wait_for()
-    now.get_by_text("left of 10:00").wait_for()
+    page.locator("#run-left", has_text="left of 10:00").wait_for()
     for quantity in ("Error", "Force"):
         chart = now.locator(".chart", has_text=quantity)
         page.wait_for_function(

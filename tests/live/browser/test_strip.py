@@ -1,4 +1,4 @@
-"""The strip above the tabs: current values or none, and the result of a finished run."""
+"""The strip above the tabs shows current values or none, and the result of a finished run."""
 
 import re
 
@@ -22,7 +22,8 @@ ERROR, _, FORCE, DEFLECTION, LEFT = range(5)  # the second value, the direction,
 def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page: Page, station: Served) -> None:
     page.wait_for_function(EMPTY, arg=ERROR)  # without a desired path there is no error
     page.wait_for_function(NUMBER, arg=FORCE)
-    place = page.locator("#strip").bounding_box()
+    kept = [page.locator(name) for name in ("#strip", "#ended", "#tabs")]  # none moves, whatever is shown in it
+    places = [one.bounding_box() for one in kept]
     started = station.post("/api/start", HELD)
     assert started.status_code == 202, started.text
     station.rest.delete("/api/operator")
@@ -33,21 +34,22 @@ def test_value_strip_shows_values_during_a_motion_and_the_result_at_its_end(page
     note = page.locator("#strip > div").first.locator("span").last
     expect(note).to_have_text(re.compile(r"^tracker\serror [0-9.]+\smm$"))
     assert note.evaluate("note => note.scrollWidth <= note.clientWidth")
-    assert page.locator("#strip").bounding_box() == place
+    assert [one.bounding_box() for one in kept] == places
     expect(page.locator("#tip p")).to_have_text(re.compile(r"^tracker error [0-9.]+ mm$"))
     expect(page.locator("#now .chart-head").first).to_have_text(re.compile(r"Error \[mm\]tracker error .*true error "))
     station.post("/api/stop")
     page.locator(
-        "#ended", has_text=re.compile(r"■ stopped by .* · true error at most [0-9.]+\smm, RMS [0-9.]+\smm")
+        "#ended", has_text=re.compile(r"■ stopped by .* · [0-9.]+\smm largest true error, RMS [0-9.]+\smm")
     ).wait_for()
     page.wait_for_function(EMPTY, arg=ERROR)
+    assert [one.bounding_box() for one in kept] == places
     page.locator("#ended").get_by_role("button", name="Result").click()
     page.locator("#runs .result", has_text="largest").wait_for()
 
 
 def test_jog_buttons_keep_their_place_below_the_result_of_the_last_run(page: Page, station: Served) -> None:
     assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 1.0}).status_code == 202
-    page.locator("#ended", has_text="● complete").get_by_role("button", name="Result").wait_for()  # not of an older run
+    page.locator("#ended", has_text="● complete").get_by_role("button", name="Result").wait_for()  # of this run
     station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
     station.rest.delete("/api/operator")
     open_tab(page, "jog")

@@ -15,7 +15,7 @@ POINTS = [[0, 0, 0, 0], [4, 0, 0.004, 0], [8, 0, 0.004, 0.003]]
 @pytest.fixture
 def teach(page: Page, station: Served) -> Page:
     """Open the form of waypoints with an empty table."""
-    page.evaluate("() => sessionStorage.removeItem('places')")
+    page.evaluate("() => { sessionStorage.removeItem('places'); history.replaceState(null, '', '#run'); }")
     page.reload()
     page.locator("#state", has_text="READY").wait_for()
     open_tab(page, "start")
@@ -85,9 +85,13 @@ def test_waypoints_are_added_at_the_tip_and_the_page_warns_away_from_the_start(t
 def test_waypoints_are_added_from_the_jog_tab(teach: Page) -> None:
     open_tab(teach, "jog")
     for number in (1, 2):
-        note = teach.locator(".note.good", has_text=f"waypoint {number} is added")
-        press_until(teach, teach.get_by_role("button", name="Add the tip to the waypoints").click, note.is_visible)
-    note.get_by_role("button", name="Open").click()
+        said = teach.get_by_role("status").filter(has_text=f"waypoint {number} is added")
+        press_until(teach, teach.get_by_role("button", name="Add the tip to the waypoints").click, said.is_visible)
+    open_tab(teach, "start")
+    teach.get_by_role("button", name="all motions").click()  # the list opens from any other place, too
+    open_tab(teach, "jog")
+    said.get_by_role("button", name="Open the list").click()
+    teach.locator("table.places tbody tr").nth(1).wait_for()
     assert [row[1:] for row in table(teach)[:1]] == [[0.0, 0.0, 0.0]]
     assert len(table(teach)) == 2
 

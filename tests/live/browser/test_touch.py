@@ -171,6 +171,7 @@ def test_stiffness_needs_three_values_and_is_sent_with_the_motion(station: Serve
     assert body["controller"]["stiffness"] == [60, 60, 300]
     assert body["controller"]["stiffness_frame"] == "tip"
     assert body["controller"]["max_offset"] == pytest.approx(0.005)
+    page.get_by_role("button", name="Motions", exact=True).click()
     page.get_by_role("button", name="all motions").click()
 
 
@@ -180,8 +181,8 @@ def test_stiffness_is_changed_while_a_motion_with_a_stiffness_runs(station: Serv
     fields = page.locator("#stiffness")
     motion = {"trajectory": {"kind": "hold"}, "duration": 600.0}
     station.post("/api/start", motion)
-    page.locator("#now", has_text="left of").wait_for()
-    expect(fields).to_be_hidden()
+    page.locator("#run-left", has_text="left of").wait_for()
+    expect(fields).to_contain_text("fill in “Stiffness of the tip” before you start it")
     station.ready()
     page.locator("#state", has_text="READY").wait_for()  # otherwise the page may fill the fields of the first run
 

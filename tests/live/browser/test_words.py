@@ -152,3 +152,91 @@ def test_page_reports_the_loss_of_control_to_another_client(station: Served, pag
     page.locator("#operator", has_text="No operator").wait_for()
     # No message appears if the operator has released the lease.
     assert not any("operator" in text or "control" in text for text in page.locator(".note").all_inner_texts())
+
+
+#: Internal words, which no text of the page may have outside of code: keys, representations of Python, and SI units of
+#: lengths and angles, which the page shows in millimetres and degrees.
+INTERNAL = re.compile(
+    r"[A-Za-z]\w*_\w+|\w+=[('\[\d]|\b(?:None|True|False|undefined|NaN)\b|\[(?:rad|m|m/s|rad/s)\]|<\w+ object|\[object"
+)
+#: Terms of the operating system with an underscore.
+TERMS = {"SCHED_FIFO", "SCHED_OTHER"}
+TEXTS = """() => {
+  const found = [], all = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (all.nextNode()) {
+    if (all.currentNode.parentElement.closest("code, script, style") === null) found.push(all.currentNode.data);
+  }
+  for (const one of document.querySelectorAll("body :not(code)"))
+    for (const name of ["title", "aria-label", "aria-description"]) found.push(one.getAttribute(name) ?? "");
+  return found;
+}"""
+
+
+def internal_words(page: Page) -> set[str]:
+    """Return the internal words of every text and explanation of the page, of hidden parts too, with their texts."""
+    return {
+        f"{word}: {text.strip()[:120]}"
+        for text in page.evaluate(TEXTS)
+        for word in INTERNAL.findall(text)
+        if word not in TERMS
+    }
+
+
+def test_no_text_of_the_page_has_an_internal_word(page: Page, says: Callable[..., None]) -> None:
+    found: set[str] = set()
+    for tab in ("jog", "plots", "runs", "devices", "faults"):
+        open_tab(page, tab)
+        found |= internal_words(page)
+    for tab, head in (("calibrate", "all procedures"), ("start", "all motions")):
+        open_tab(page, tab)
+        cards = page.locator(f"#{tab} .card:not([disabled])")
+        cards.last.wait_for()
+        for number in range(cards.count()):
+            cards.nth(number).click()
+            page.get_by_role("button", name=head).wait_for()
+            found |= internal_words(page)
+            page.get_by_role("button", name=head).click()
+            cards.last.wait_for()
+    for state in ("OFF", "CONNECTING", "CONNECTED", "HOMING", "HOMED", "READY", "RUNNING", "HOLD", "STOPPED", "FAULT"):
+        says(state=state, joints={}, tip_measured=None, tip_estimated=None)
+        page.locator("#state", has_text=state).wait_for()
+        found |= internal_words(page)
+    assert found == set()
+
+
+#: Reasons of disabled buttons that do not depend on the state or the operator.
+OWN_REASONS = r"Nothing to undo|Tick two runs|Tick the runs to delete|This waypoint is the|No run is in progress"
+DISABLED = """() => [...document.querySelectorAll("button:disabled")].filter((one) => one.checkVisibility())
+  .map((one) => [one.textContent, one.title])"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"state": "HOLD", "action": "reset"}, "Possible while .*, not while HOLD"),
+        ({"state": "RUNNING", "action": "", "phase": "moving"}, "Possible while .*, not while RUNNING"),
+        ({"state": "CONNECTED", "action": "home"}, "Possible while .*, not while CONNECTED"),
+        ({"operator": {"name": "Eve", "you": False, "role": "operator", "lapses_s": 9.0}}, "'Eve' is operator"),
+        ({"operator": {"name": None, "you": False, "role": "viewer", "lapses_s": None}}, "A viewer may only view"),
+    ],
+)
+def test_every_disabled_button_has_its_reason(
+    page: Page, says: Callable[..., None], changes: dict[str, Any], reason: str
+) -> None:
+    counted = 0
+    says(**changes)
+    try:
+        for tab in ("start", "jog", "plots", "runs", "cameras", "devices", "calibrate", "faults"):
+            open_tab(page, tab)
+            if tab == "start":
+                page.locator(".card", has_text="Keep the tip where it is").click()
+            # The page's data may be old for a moment on a busy computer; then this is the reason.
+            page.locator("body:not(.stale)").wait_for()
+            for text, title in page.evaluate(DISABLED):
+                assert re.match(f"{reason}|{OWN_REASONS}|The page has no current data", title), (tab, text, title)
+                counted += re.match(reason, title) is not None
+            if tab == "start":
+                page.get_by_role("button", name="all motions").click()
+        assert counted >= 5  # among them Start and the buttons of the tab Jog
+    finally:
+        says()

@@ -1,6 +1,6 @@
 """A command is void after a later STOP or reset, or after its client has disconnected; it then moves nothing.
 
-The tests send commands to a live station while a slow check or a suspended recorder delays them.
+Commands to a live station wait here for a suspended recorder; `tests/virtual/faults` sends all of them in any order.
 """
 
 import contextlib
@@ -11,26 +11,14 @@ from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import psutil
-import pytest
 from websockets.sync.client import connect
 
 from tests.harness.children import children
 from tests.harness.serving import Served
-from tests.harness.slow_client import SLOW, slow_client
+from tests.harness.slow_client import slow_client
 from tests.harness.waiting import until
-from tests.tools.random_orders import RandomOrders
 
-FAR = {"joints": {"outer_rotation": -2.5, "inner_rotation": 2.5, "inner_translation": -0.02}}
 CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}
-
-
-def stop_and_reset(station: Served) -> dict[str, Any]:
-    """Send a STOP and a reset, check that the station accepts both, and return its status when it is READY again."""
-    assert station.post("/api/stop").json() == {"state": "STOPPED", "note": "", "confirmed": True}
-    assert station.post("/api/reset").status_code == 200
-    station.wait_for(lambda status: status["state"] == "READY")
-    station.rest_of_joints()  # a motion that had started before the STOP still slows down
-    return station.status()
 
 
 def rests(station: Served, before: dict[str, Any]) -> None:
@@ -39,37 +27,6 @@ def rests(station: Served, before: dict[str, Any]) -> None:
     assert now["state"] == "READY", now["run"]
     assert (now["run"] or {}).get("id") == (before["run"] or {}).get("id")
     assert now["joints"] == before["joints"]
-
-
-@pytest.mark.parametrize(
-    ("path", "body"), [("/api/start", SLOW), ("/api/goto", FAR)], ids=["start of 1500 waypoints", "goto"]
-)
-def test_stop_and_reset_void_a_motion_that_is_being_checked(station: Served, path: str, body: dict[str, Any]) -> None:
-    with slow_client(station.port) as client:
-        client.send("POST", path, body)
-        before = stop_and_reset(station)
-        answer = client.answer()
-    rests(station, before)
-    # On a very slow computer the motion may have started before the STOP. The STOP has ended it then.
-    if answer.status != 202:
-        assert answer.status == 409, answer
-        assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.body["error"]
-        assert "send the request again" in answer.body["error"]
-
-
-@pytest.mark.parametrize(
-    ("path", "body"), [("/api/start", SLOW), ("/api/goto", FAR)], ids=["start of 1500 waypoints", "goto"]
-)
-def test_motion_is_void_if_its_client_disconnects_during_the_check(
-    station: Served, path: str, body: dict[str, Any]
-) -> None:
-    before = station.status()
-    with slow_client(station.port) as client:
-        client.send("POST", path, body)
-    outcome = station.wait_for(lambda _: _outcome(station, path)) and _outcome(station, path)
-    assert outcome.startswith("409"), outcome
-    assert "its client disconnected" in outcome
-    rests(station, before)
 
 
 def _outcome(station: Served, path: str) -> str:
@@ -89,9 +46,7 @@ def recorder_that_does_not_begin(station: Served) -> Iterator[None]:
     until(lambda: "ctr-recorder" in _names(station))  # a recorder has this name only after its start
     killed = station.child("ctr-recorder")
     killed.kill()
-    with contextlib.suppress(
-        psutil.NoSuchProcess
-    ):  # the station may already have collected the exit status of the killed recorder
+    with contextlib.suppress(psutil.NoSuchProcess):  # the station may have collected its exit status
         until(lambda: killed.status() == psutil.STATUS_ZOMBIE)
     known = {child.pid for child in psutil.Process(station.process.pid).children()}
     assert station.post("/api/reset").json()["note"] == "restarted: the recorder"
@@ -104,27 +59,18 @@ def recorder_that_does_not_begin(station: Served) -> Iterator[None]:
             recorder.send_signal(signal.SIGCONT)
 
 
-def test_stop_and_reset_void_a_start_that_waits_for_the_recorder(station: Served) -> None:
-    with ExitStack() as stack:
-        with recorder_that_does_not_begin(station):
-            # Connect after the reset: the server closes an idle connection after 5 s, and the reset may take longer.
-            client = stack.enter_context(slow_client(station.port))
-            client.send("POST", "/api/start", CIRCLE)
-            before = stop_and_reset(station)
-        answer = client.answer()
-    assert answer.status == 409, answer
-    assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.body["error"]
-    rests(station, before)
-
-
 def test_stop_and_reset_void_a_setpoint_session_that_waits_for_the_recorder(station: Served) -> None:
     with ExitStack() as stack:
         with recorder_that_does_not_begin(station):
             # Connect after the reset: the server closes a session that does not start within 20 s.
             socket = stack.enter_context(connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None))
+            station.rest.delete("/api/operator")
             socket.send("{}")
-            assert socket.ping().wait()  # the server has read the message
-            before = stop_and_reset(station)
+            station.wait_for(lambda status: status["operator"]["name"] is not None)  # it has read the message
+            assert station.post("/api/stop").json() == {"state": "STOPPED", "note": "", "confirmed": True}
+            assert station.post("/api/reset").status_code == 200
+            station.wait_for(lambda status: status["state"] == "READY")
+            before = station.status()
         answer = json.loads(socket.recv())
     assert "is void: the station was stopped by 'script at 127.0.0.1'" in answer.get("error", ""), answer
     rests(station, before)
@@ -138,11 +84,3 @@ def test_start_that_waits_for_the_recorder_is_void_if_its_client_disconnects(sta
     outcome = station.wait_for(lambda _: _outcome(station, "/api/start")) and _outcome(station, "/api/start")
     assert "its client disconnected" in outcome, outcome
     rests(station, before)
-
-
-def test_robot_moves_only_for_valid_commands_when_commands_arrive_in_random_order(station: Served) -> None:
-    orders = RandomOrders(station, seed=0)
-    for _ in range(4):
-        orders.one()
-    assert orders.unrequested == []
-    assert orders.counts["commands"] > 0

@@ -1,14 +1,13 @@
-"""Stations without a tracker, without force sensors, and with stages alone: from start to report."""
+"""Stations without force sensors and with stages alone: from start to report."""
 
 import pytest
 
 from tests.harness.serving import serving
 
 CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.004, "period": 4.0}, "duration": 4.0}
-NEEDS = {"sensors": "force sensors", "tracker": "a tracker"}
 
 
-@pytest.mark.parametrize("missing", [("sensors",), ("tracker",), ("tracker", "sensors")])
+@pytest.mark.parametrize("missing", [("sensors",), ("tracker", "sensors")])
 def test_a_station_without_some_devices_runs_a_circle_and_reports_it(missing: tuple[str, ...]) -> None:
     with serving(*(text for kind in missing for text in ("--without", kind))) as station:
         station.ready()
@@ -18,30 +17,19 @@ def test_a_station_without_some_devices_runs_a_circle_and_reports_it(missing: tu
         assert (status["tip_measured"] is None) == ("tracker" in missing)
         station.post("/api/operator")
         tare = station.post("/api/tare")
-        assert tare.status_code == (409 if "sensors" in missing else 200), tare.text
+        assert tare.status_code == 409, tare.text
         refused = station.post("/api/start", CIRCLE | {"controller": {"inner": "type_1", "feedback": "tracker"}})
         assert refused.status_code == 422, refused.text
-        assert f"needs {NEEDS[missing[-1]]}" in refused.json()["error"]
+        assert "needs force sensors" in refused.json()["error"]
         run = station.post("/api/start", CIRCLE).json()["run_id"]
         station.wait_for(lambda s: s["phase"] == "moving")
         ended = station.wait_for(lambda s: s["state"] != "RUNNING" and not s["run"]["recording"])
         assert ended["state"] == "READY", ended["cause"]
         procedures = station.rest.get("/api/calibration").json()["offers"]
         offered = {one["name"] for one in procedures if one["missing"] == ""}
-        assert offered == (set() if "tracker" in missing else {"axes", "latency", "tracker", "tubes"})
+        assert offered == (set() if "tracker" in missing else {"axes", "latency", "tracker", "tubes", "residual"})
         refused = station.post("/api/calibration/start", {"what": "force", "way_is_clear": True})
         assert refused.status_code == 409, refused.text
         assert "does not have" in refused.json()["error"]
         report = station.rest.get(f"/api/runs/{run}/report")
         assert report.status_code == 200, report.text
-
-
-def test_a_station_without_sensors_holds_its_position_when_its_tracker_is_lost() -> None:
-    with serving("--without", "sensors") as station:
-        station.ready()
-        station.post("/api/start", CIRCLE | {"duration": 600.0})
-        station.wait_for(lambda s: s["phase"] == "moving")
-        station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
-        held = station.wait_for(lambda s: s["state"] != "RUNNING" and s["cause"])
-        assert held["state"] == "HOLD"
-        assert "tracker" in held["cause"]

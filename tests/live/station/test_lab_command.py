@@ -21,10 +21,12 @@ from station.devices.ati.netft import NetftSensors, NetftSettings, fetch_page
 from station.devices.aurora.dialogue import AuroraSettings
 from station.devices.aurora.protocol import framed
 from station.devices.aurora.tracker import AuroraTracker
+from station.devices.interfaces import Condition
+from station.devices.kernel.stages import LineStages, Port
 from station.devices.links.link import DatagramLink, Link, LinkError, SerialLink, reopen
 from station.devices.zaber.chain import LineSettings
-from station.devices.zaber.setup import PortSetup, StageSetup
-from station.devices.zaber.stages import Condition, ZaberStages
+from station.devices.zaber.setup import StageSetup
+from station.devices.zaber.stages import zaber_stages
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.endpoints import AddressInUse, PtyDeviceEnd, TcpDeviceEnd, UdpDeviceEnd
@@ -88,10 +90,10 @@ def start(write, tmp_path: Path, environment: dict[str, str]) -> Iterator[Callab
 
 
 @pytest.fixture
-def stages(paper) -> Callable[[str], ZaberStages]:
-    def stages(url: str) -> ZaberStages:
+def stages(paper) -> Callable[[str], LineStages[Any, Any]]:
+    def stages(url: str) -> LineStages[Any, Any]:
         setups = [StageSetup.of(joint, number) for number, joint in enumerate(paper.joints, 1)]
-        return ZaberStages(setups, [PortSetup(SerialLink(url, 9600), (0, 1, 2))], LineSettings(deadline=2.0))
+        return zaber_stages(setups, [Port(SerialLink(url, 9600), (0, 1, 2))], LineSettings(deadline=2.0))
 
     return stages
 
@@ -159,13 +161,13 @@ def test_drivers_find_every_device_of_the_lab_command_and_a_signal_ends_it_clean
         assert wait(lambda: motors.condition is not Condition.CONNECTING, poll)
         assert motors.condition is Condition.CONNECTED, motors.problem
         assert wait(lambda: len(tips) >= 40, poll), tracker.report(time.monotonic())
-        assert wait(lambda: sensors.is_usable, poll), sensors.complaint()
+        assert wait(lambda: sensors.is_usable, poll), sensors.trouble(time.monotonic())
 
-        assert [unit and unit.serial for unit in motors.identities] == [1001, 1002, 1003]
+        assert [unit and unit.serial for unit in motors.axes.identities] == [1001, 1002, 1003]
         # After power-up a Zaber unit counts its position from 0, wherever it is.
         assert wait(lambda: bool(np.isfinite(motors.poll(time.monotonic()).positions).all()), poll)
         assert motors.poll(time.monotonic()).positions == pytest.approx(
-            [s.position(0) for s in motors.setups], abs=1e-9
+            [s.position(0) for s in motors.axes.setups], abs=1e-9
         )
         assert [each["calibration"] for each in sensors.details().values()] == ["FT00001", "FT00002"]
         load = np.array([LOAD, 0.0, 0.0])
@@ -211,7 +213,7 @@ def test_serial_line_of_the_lab_accepts_one_program_at_a_time(start, stages):
     motors = stages(lab.where["zaber"])
     try:
         motors.connect(time.monotonic())
-        wait(lambda: motors.identities[0] is not None, lambda: motors.poll(time.monotonic()))
+        wait(lambda: motors.axes.identities[0] is not None, lambda: motors.poll(time.monotonic()))
         part = urlsplit(lab.where["zaber"])
         with socket.create_connection((part.hostname, part.port), timeout=10.0) as second:
             assert second.recv(1) == b""  # the lab has closed the connection of the second program

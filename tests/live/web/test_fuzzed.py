@@ -1,4 +1,4 @@
-"""Hundreds of invalid bodies: never a 5xx, and nothing moves."""
+"""Hundreds of invalid bodies cause no server error (5xx) and no motion."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Compiled code detects NaN, is compiled by one process, and again when anything that it depends on has changed."""
+"""Compiled code detects NaN; one process compiles it, and again when anything that it depends on has changed."""
 
 import math
 import os
@@ -65,16 +65,12 @@ def test_a_compiled_function_is_recompiled_after_a_change_in_another_file(tmp_pa
 
     assert answer(tmp_path) == ["11.0", "0"]
     assert answer(tmp_path) == ["11.0", "1"]
-    layout.write_text(LAYOUT.format(place=2))
-    assert answer(tmp_path) == ["12.0", "0"]
-    layout.write_text(LAYOUT.format(place=2).replace("STEP = 10", "STEP = 20"))
-    assert answer(tmp_path) == ["22.0", "0"]
-    layout.write_text(LAYOUT.format(place=2).replace("Parts", "Views").replace("STEP = 10", "STEP = 20"))
+    layout.write_text(LAYOUT.format(place=2).replace("Parts", "Views"))
     (tmp_path / "user.py").write_text(USER.replace("Parts, ", ""))
-    assert answer(tmp_path) == ["22.0", "0"]
+    assert answer(tmp_path) == ["12.0", "0"]
 
 
-MANY = 400  #: statements of a function that takes a second to compile
+MANY = 200  #: statements of a function that takes half a second to compile
 
 
 def test_a_function_that_two_processes_need_at_once_is_compiled_by_one_of_them(tmp_path: Path) -> None:

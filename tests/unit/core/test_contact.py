@@ -12,7 +12,7 @@ from core.robot.robot import Section
 
 JOINTS = np.array([0.6, 2.0, -0.0763])
 WRENCH = np.array([0.3, -0.2, 0.1, 0.004, -0.003, 0.005])
-ARC_LENGTHS = [0.004, 0.05, 0.0737, 0.12, 0.165, 0.2]
+ARC_LENGTHS = [0.004, 0.0737, 0.165]
 
 
 @pytest.mark.parametrize("integrator", ["paper", "fourth_order"])
@@ -68,7 +68,7 @@ def test_a_contact_at_the_tip_is_equivalent_to_a_tip_load(paper_robot):
 
 def test_a_moving_contact_is_followed_by_warm_starts(paper_robot):
     model, near = Statics(paper_robot), None
-    for s in np.linspace(0.02, 0.2, 60):
+    for s in np.linspace(0.02, 0.2, 20):
         near, cold = model.solve(JOINTS, WRENCH, near, s), model.solve(JOINTS, WRENCH, contact=s)
         np.testing.assert_allclose(near.tip, cold.tip, rtol=0, atol=1e-9)
         assert near.contact == s

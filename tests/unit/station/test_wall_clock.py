@@ -9,9 +9,10 @@ from tests.harness.root import ROOT
 
 #: Files that may read the time of day: for names of folders, and time stamps of files, recordings and log lines.
 STAMPING = {
-    "station/benchmarks/report.py", "station/camera/host.py", "station/camera/video.py", "station/cli/calibrate.py",
+    "station/camera/host.py", "station/camera/video.py", "station/cli/calibrate.py",
+    "station/cli/cameras.py", "station/recording/deletion.py",
     "station/cli/validate.py", "station/cli/workspace.py",
-    "station/experiments/manifest.py", "station/experiments/output.py", "station/experiments/sweep_plan.py",
+    "station/experiments/output.py", "station/experiments/sweep_folder.py", "station/experiments/sweep_plan.py",
     "station/recording/history.py", "station/recording/run_folder.py", "station/recording/writer.py",
     "station/service/audit.py", "station/service/camera_calibration.py",
     "station/service/live_calibration.py", "station/service/runs.py",

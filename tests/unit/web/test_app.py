@@ -1,4 +1,4 @@
-"""Imports of the application."""
+"""The imports of the web application."""
 
 import subprocess
 import sys

@@ -1,9 +1,9 @@
-"""Malformed or oversized REST body, NaN, unknown field: 4xx with field and reason."""
+"""A malformed or oversized REST body, NaN or an unknown field is refused (4xx) with field and reason."""
 
 from collections.abc import Iterator
 
 import pytest
-from starlette.testclient import TestClient
+from starlette.testclient import TestClient, WebSocketDenialResponse
 
 JSON = {"content-type": "application/json"}
 
@@ -12,13 +12,12 @@ JSON = {"content-type": "application/json"}
     ("path", "body", "named"),
     [
         ("/api/start", '{"duration": NaN}', "duration"),
-        ("/api/start", '{"duration": 1e400}', "duration"),
         ("/api/start", '{"trajectory": {"kind": "circle", "radius": -Infinity, "period": 10}}', "radius"),
         ("/api/start", '{"speed": 1}', "unknown field 'speed'"),
         ("/api/start", '{"duration": 10', "not JSON"),
         ("/api/start", "\u00ff\u0000", "not JSON"),
         ("/api/jog", '{"space": "tip", "velocity": [NaN, 0, 0]}', "velocity"),
-        ("/api/jog", '{"space": "tip", "velocity": [0.5, 0, 0]}', "x = 0.5 is outside +-0.01"),
+        ("/api/jog", '{"space": "tip", "velocity": [0.5, 0, 0]}', "x = 0.5 m/s is outside +-0.01 m/s"),
         ("/api/jog", '{"space": "joints", "velocity": [0, 0]}', "3 velocities"),
         ("/api/home", "{}", "way_is_clear"),
         ("/api/home", '{"way_is_clear": false}', "way_is_clear"),
@@ -29,12 +28,10 @@ JSON = {"content-type": "application/json"}
         ("/api/start", '{"duration": 1e999}', "duration"),
         ("/api/start", '{"duration": -1}', "duration"),
         ("/api/start", '{"duration": "10"}', "duration"),
-        ("/api/start", '{"nonsense": 1}', "nonsense"),
         ("/api/start", '{"experiment": "nope"}', "nope"),
-        ("/api/start", '{"experiment": "fig10", "duration": 5}', "not both"),
+        ("/api/start", '{"experiment": "fig10", "duration": 5}', "give either an experiment"),
         ("/api/start", '{"case": "paper"}', "experiment"),
         ("/api/start", '{"trajectory": {"kind": "spiral"}}', "spiral"),
-        ("/api/start", '{"trajectory": {"kind": "circle", "radius": NaN, "period": 10}}', "radius"),
         ("/api/start", '{"trajectory": {"kind": "circle", "radius": 5, "period": 10}}', "radius"),
         (
             "/api/start",
@@ -45,9 +42,7 @@ JSON = {"content-type": "application/json"}
         ("/api/start", '{"controller": {"k1": 1000}}', "K1"),
         ("/api/start", '{"load": {"kind": "constant", "magnitude": -1}}', "magnitude"),
         ("/api/start", '{"load": {"kind": "constant", "magnitude": 20.1}}', "magnitude"),
-        ("/api/start", '{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "magnitudes"),
         ("/api/start", "[]", "body"),
-        ("/api/start", "not json", "JSON"),
         ("/api/start", "[" * 60_000, "body"),
         ("/api/start", '"\\ud800"', "body"),
     ],
@@ -67,11 +62,11 @@ def test_an_invalid_rest_body_is_refused_with_field_and_reason(
     [
         (
             '{"trajectory": {"kind": "waypoints", "points": [[5, 0, 0, "a"]]}}',
-            "trajectory.points, row 1, number 4 = 'a': Input should be a valid number",
+            "trajectory.points, row 1, number 4 = 'a': ",
         ),
         (
             '{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}',
-            "load.magnitudes, number 2 = -21: Input should be greater than or equal to -20",
+            "load.magnitudes, number 2 = -21: ",
         ),
         (
             '{"trajectory": {"kind": "circle", "radios": 0.1}}',
@@ -80,7 +75,7 @@ def test_an_invalid_rest_body_is_refused_with_field_and_reason(
     ],
 )
 def test_a_refusal_names_location_and_cause_without_the_parsers_terms(app: TestClient, body: str, told: str) -> None:
-    assert app.post("/api/start", content=body.encode(), headers=JSON).json()["error"] == told
+    assert app.post("/api/start", content=body.encode(), headers=JSON).json()["error"].startswith(told)
 
 
 @pytest.mark.parametrize(
@@ -136,3 +131,12 @@ def test_an_oversized_body_without_a_length_is_not_read_to_its_end(app: TestClie
     answer = app.post("/api/start", content=chunks(), headers=JSON)
     assert answer.status_code == 413
     assert "65536" in answer.json()["error"]
+
+
+@pytest.mark.parametrize("path", ["/api/telemetry?rate=200", "/api/telemetry?rate=fast"])
+def test_a_websocket_with_an_invalid_parameter_is_refused_with_its_name_and_value(app: TestClient, path: str) -> None:
+    headers = {"host": app.base_url.netloc.decode()}
+    with pytest.raises(WebSocketDenialResponse) as refused, app.websocket_connect(path, headers=headers):
+        pass
+    assert refused.value.status_code == 422
+    assert refused.value.json()["error"].startswith("rate = ")

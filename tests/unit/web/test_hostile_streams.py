@@ -14,7 +14,8 @@ from pyigtl.messages import TransformMessage
 from core.control.setpoint_request import SetpointRequest
 from core.robot.robot import Array
 from station.control.task import StreamedMotion, StreamRequest
-from station.service.setpoint_stream import MAX_EXTRAPOLATION_S, SetpointRefused, SetpointStream, StreamAgreement
+from station.service.commands import StreamAgreement
+from station.service.setpoint_stream import MAX_EXTRAPOLATION_S, SetpointRefused, SetpointStream
 from web.api.setpoints import _setpoint_request
 from web.gateway.igtl import HEADER_BYTES, parse_head, parse_target
 

@@ -38,7 +38,7 @@ def refused(app: TestClient, first: dict[str, Any] | None, **headers: str) -> Re
     [
         ("{}", "OFF"),
         ('{"speed": NaN}', "speed"),
-        ('{"speed": 1e9}', "speed: Input should be less than or equal to 0.1"),
+        ('{"speed": 1e9}', "speed: "),
         ('{"reach": -1}', "reach"),
         ('{"unknown": 1}', "unknown"),
         ('{"controller": {"k1": 1e6}}', "K1"),

@@ -11,10 +11,7 @@ from station.control.states import State
 from tests.harness.virtual_station import VirtualStation
 
 
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [("saturate", "saturated"), ("bad_status", "status"), ("mute", "stale"), ("restart", "stale")],
-)
+@pytest.mark.parametrize(("kind", "said"), [("saturate", "saturated"), ("bad_status", "device fault")])
 def test_sample_of_a_faulty_force_sensor_never_enters_control(virtual: VirtualStation, kind: str, said: str) -> None:
     virtual.moving()
     before = len(virtual.rows)
@@ -23,9 +20,7 @@ def test_sample_of_a_faulty_force_sensor_never_enters_control(virtual: VirtualSt
     took = virtual.becomes(State.HOLD)
     virtual.seconds(0.5)
 
-    assert (
-        took <= 0.06
-    )  # a sensor is silent after 50 ms without a record; the other faults are visible in the next record
+    assert took <= 0.01  # the fault is visible in the next record
     assert "force sensor 1 on netft 1: " in virtual.loop.cause_details
     assert said in virtual.loop.cause_details
     assert virtual.loop.cause.startswith("force sensor 1 ")
@@ -50,7 +45,7 @@ def test_restarted_force_sensor_box_is_not_used_before_a_reset(virtual: VirtualS
     virtual.moving()
     virtual.fail("restart", "inner")
     virtual.becomes(State.HOLD)
-    virtual.seconds(3.0)
+    virtual.seconds(1.0)
     trouble = virtual.devices.sensors.trouble(virtual.now)
     assert trouble is not None
     assert "restarted" in trouble.text
@@ -64,4 +59,5 @@ def test_force_sensor_that_repeats_its_sample_counts_as_silent(virtual: VirtualS
     took = virtual.becomes(State.HOLD)
 
     assert took <= 0.05 + 3 * PERIOD_S
-    assert virtual.loop.cause == "force sensor 1 was silent for too long"
+    assert virtual.loop.cause.startswith("force sensor 1 sends 00 00 ")
+    assert "(36 bytes), whose counters do not continue" in virtual.loop.cause

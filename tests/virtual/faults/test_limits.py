@@ -18,7 +18,6 @@ from station.config.robots import WorkspaceBoxFile, load_robot, named_pose
 from station.config.strict import ConfigError
 from station.control.states import State
 from station.control.task import MotionTask, Phase
-from station.devices.zaber.protocol import ZaberCommand
 from station.service.feasibility import goto_joints
 from station.service.station_file import load_station
 from tests.harness.virtual_station import VirtualStation
@@ -48,7 +47,7 @@ def test_motion_beyond_travel_or_speed_is_refused_before_its_start(case, motion,
 
 def test_error_for_tube_order_or_workspace_has_value_and_bound() -> None:
     robot = load_robot("three_tubes").model_copy(
-        update={"workspace": WorkspaceBoxFile(lower=(-0.1, -0.1, 0.0), upper=(0.1, 0.1, 0.2))}
+        update={"ends_in_order": True, "workspace": WorkspaceBoxFile(lower=(-0.1, -0.1, 0.0), upper=(0.1, 0.1, 0.2))}
     )
     order, box = robot.limits().others
     middle = np.array([0.5 * (joint.lower + joint.upper) for joint in robot.joints])
@@ -81,22 +80,6 @@ def test_control_loop_brakes_an_axis_before_the_end_of_its_travel(virtual: Virtu
     assert fastest == pytest.approx(0.02, rel=0.02)
     assert -0.130 <= least <= -0.129
     assert virtual.places[2] >= -0.130
-
-
-def test_connect_sets_the_maximum_position_of_each_stage_to_its_travel(virtual: VirtualStation) -> None:
-    virtual.ready()
-    maxima = [unit.settings[ZaberCommand.SET_MAXIMUM] for unit in virtual.lab.chain.units]
-
-    assert maxima[:2] == [3_072_000, 3_072_000]  # +-360 deg
-    assert maxima[2] == pytest.approx(0.125 / 0.49609375e-6, abs=1.0)
-
-
-def test_disconnected_axis_ends_at_its_maximum_position(virtual: VirtualStation) -> None:
-    virtual.moving(JointSweepMotion(joint="inner_translation", speed=-0.01, distance=0.025), since=0.5)
-    virtual.fail("disconnect", "stages")
-    virtual.seconds(6.0)
-
-    assert virtual.places[2] == pytest.approx(-0.130, abs=1e-6)
 
 
 @pytest.mark.parametrize("motion", [HoldMotion(), JointSweepMotion(joint="outer_rotation", speed=0.1, distance=0.1)])

@@ -16,17 +16,17 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, consumes, invaria
 
 from core.errors import Unreachable
 from station.config.motions import CircleMotion, HoldMotion
-from station.control.messages import Command
+from station.control.commands import Command, CommandMessage, Execute, Jog, Reset, Tare
 from station.control.states import RefusedError, State, Transition
 from station.control.task import MotionTask
 from station.experiments.experiment import Case
+from station.service.commands import Goto, Home, Start, StreamAgreement, experiment_start
 from station.service.permits import Permit, VoidError
 from station.service.runs import StartRequest
-from station.service.setpoint_stream import StreamAgreement
 from tests.harness.played_station import PlayedStation, played_station
 from tests.harness.virtual_station import VirtualStation
 
-EXAMPLES = int(os.environ.get("EXAMPLES", "12"))
+EXAMPLES = int(os.environ.get("EXAMPLES", "5"))
 MOVING = (State.RUNNING, State.HOMING)
 #: Two positions of a joint for `goto`; the joint travels between them within a second [rad].
 POSES = (0.0, 0.1)
@@ -40,32 +40,40 @@ def played(case: Case) -> Iterator[PlayedStation]:
 
 def _calibrate(station: PlayedStation, permit: Permit) -> None:
     """Reserve the robot for a procedure and start its first step, as `CalibrationSession` does."""
-    supervisor, service = station.supervisor, station.service
+    supervisor = station.supervisor
     supervisor.reserve("'calibrate' has reserved the robot", permit)
     try:
-        start = service.of_experiment("demo")
+        start = experiment_start(supervisor, "demo")
         task = MotionTask(start.task.controller, start.task.orders, 0.5, start.task.start)
         supervisor.start_step(StartRequest(task, "calibrate", load=None, recorded=False), permit.lasting())
     finally:
         supervisor.release()
 
 
-#: Action of each kind of request, which its handler executes.
-COMMANDS: dict[str, Callable[[PlayedStation, Permit], Any]] = {
-    "hold": lambda s, permit: s.service.start_motion(HoldMotion(), duration=1.0, permit=permit),
-    "circle": lambda s, permit: s.service.start_motion(
-        CircleMotion(radius=0.003, period=10.0), duration=2.0, permit=permit
-    ),
-    "experiment": lambda s, permit: s.service.start_experiment("demo", permit=permit),
-    "goto": lambda s, permit: s.service.go_to({"outer_rotation": POSES[1]}, permit=permit),
-    "goto back": lambda s, permit: s.service.go_to({"outer_rotation": POSES[0]}, permit=permit),
-    "setpoints": lambda s, permit: s.service.start_stream(StreamAgreement(duration=5.0), permit=permit),
-    "calibrate": _calibrate,
-    "home": lambda s, permit: s.service.home(permit=permit),
-    "tare": lambda s, permit: s.supervisor.tare(permit),
-    "jog": lambda s, permit: s.service.jog("joints", (0.01, 0.0, 0.0), permit=permit),
-    "reset": lambda s, permit: s.supervisor.reset("'another page'", permit),
+#: Commands to send; a calibration is a procedure and has no command.
+COMMANDS: dict[str, Command | None] = {
+    "hold": Start(trajectory=HoldMotion(), duration=1.0),
+    "circle": Start(trajectory=CircleMotion(radius=0.003, period=10.0), duration=2.0),
+    "experiment": Start(experiment="demo"),
+    "goto": Goto(joints={"outer_rotation": POSES[1]}),
+    "goto back": Goto(joints={"outer_rotation": POSES[0]}),
+    "setpoints": StreamAgreement(duration=5.0),
+    "calibrate": None,
+    "home": Home(way_is_clear=True),
+    "tare": Tare(),
+    "jog": Jog(space="joints", velocity=(0.01, 0.0, 0.0)),
+    "reset": Reset(who="'another page'"),
 }
+
+
+def _execute(kind: str, station: PlayedStation, permit: Permit) -> None:
+    command = COMMANDS[kind]
+    if command is None:
+        _calibrate(station, permit)
+    else:
+        station.supervisor.send(command, permit)
+
+
 #: Kinds of requests to draw from. Homing appears half as often, because it takes half a minute of virtual time.
 KINDS = [kind for kind in sorted(COMMANDS) for _ in range(1 if kind == "home" else 2)]
 #: Commands whose slow check is between the first and the last check of the state.
@@ -184,7 +192,7 @@ class AnyOrder(RuleBasedStateMachine):
         places = self.station.virtual.places
         for request in self.names_to_values.values():
             if isinstance(request, Request):
-                assert _tried(lambda one=request: COMMANDS[one.kind](self.station, one.permit))
+                assert _tried(lambda one=request: _execute(one.kind, self.station, one.permit))
         self.station.tick(50)
         assert (self.station.virtual.places == places).all()
 
@@ -198,7 +206,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     def _carry_out(self, request: Request) -> None:
         kind, state = request.kind, self.station.state
-        refused = _tried(lambda: COMMANDS[kind](self.station, request.permit))
+        refused = _tried(lambda: _execute(kind, self.station, request.permit))
         if kind == "reset":
             valid = request.stops == self.stops
             self.orders += 1
@@ -235,7 +243,7 @@ def test_refusal_of_a_void_command_names_the_stop_and_has_an_instruction(played:
     played.supervisor.stop("stopped by a viewer, 'Anna'")
     played.supervisor.reset("'Berta'")
     with pytest.raises(VoidError) as refused:
-        played.service.start_motion(HoldMotion(), permit=permit)
+        played.supervisor.send(Start(trajectory=HoldMotion()), permit)
     assert str(refused.value) == (
         "'start' is void: the station was stopped by a viewer, 'Anna' after this request arrived;"
         " check the robot, then send the request again"
@@ -244,9 +252,9 @@ def test_refusal_of_a_void_command_names_the_stop_and_has_an_instruction(played:
 
 def test_control_process_refuses_a_command_sent_before_a_stop_and_read_after_it(played: PlayedStation) -> None:
     played.settle()
-    task = played.service.of_experiment("demo").task
+    task = experiment_start(played.supervisor, "demo").task
     permit = played.supervisor.permit()
-    old = Command(1, Transition.START, task, 1, generation=permit.generation)
+    old = CommandMessage(1, Execute(task), generation=permit.generation)
     played.supervisor.stop()
     played.supervisor.reset()
     assert "before a STOP or a reset" in played._live._obey(old, played.virtual.now)

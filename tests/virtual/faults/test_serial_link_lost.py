@@ -22,7 +22,7 @@ def reset_wants_homing(station: VirtualStation) -> None:
     station.loop.reset(station.now)
     station.becomes(State.CONNECTED)
     station.seconds(1.0)
-    assert station.state is State.CONNECTED, "not READY by itself: where the stage is now nobody knows"
+    assert station.state is State.CONNECTED, "not READY by itself, because the positions of the stages are unknown"
     with pytest.raises(RefusedError, match="it needs READY"):
         station.loop.start(MotionTask(station.case.controller, station.case.orders, 1.0))
 
@@ -40,25 +40,17 @@ def test_cut_cable_stops_the_reachable_axes_and_the_cause_names_the_other_axis_a
     assert took < NOTICED
     cause = virtual.loop.cause
     assert cause.startswith("the stage inner_translation cannot be reached; ")
-    far = re.search(r"last seen at (-?[\d.]+) mm, it can run on to (-?[\d.]+) mm, ([\d.]+) mm away", cause)
-    assert far is not None, cause
-    at, end, way = (float(text) for text in far.groups())
-    assert abs(abs(end - at) - way) < 0.11
-    # The axis stops at an end of its travel, which was set in its unit at connect.
-    assert end in (-130.0, -5.0)
+    seen = re.search(r"last seen at (-?[\d.]+) mm", cause)
+    ends = {float(end): float(way) for end, way in re.findall(r" to (-?[\d.]+) mm, ([\d.]+) mm away", cause)}
+    assert seen is not None, cause
+    assert all(abs(abs(end - float(seen[1])) - way) < 0.11 for end, way in ends.items())
+    # The axis stops at an end of its travel, which was set in its unit at connect. Two ends are possible if the line
+    # was lost while its direction changed.
+    assert {-130.0, -5.0} >= set(ends)
     assert "outer_rotation" not in cause
     assert virtual.rests((0, 1))
-    # The disconnected axis continues at its present speed to the position in the cause.
-    before = virtual.places[2]
-    virtual.seconds(1.0)
-    speed = abs(virtual.places[2] - before)
-    assert speed > 0.0
-    virtual.until(lambda: virtual.rests((2,)), 1e-3 * way / speed + 1.0)
-    assert virtual.places[2] * 1e3 == pytest.approx(end, abs=0.1)
-    assert virtual.state is State.FAULT
-    reset_wants_homing(virtual)
-    virtual.loop.home(virtual.now)
-    virtual.becomes(State.READY, 120.0)
+    # The disconnected axis continues at its present speed; `test_zaber_losses.py` follows it to its end.
+    assert not virtual.rests((2,))
 
 
 def test_silent_stages_are_stopped_although_they_do_not_answer(virtual: VirtualStation) -> None:
@@ -88,11 +80,3 @@ def test_missing_serial_port_causes_fault_within_two_ticks(virtual: VirtualStati
     virtual.seconds(0.5)
     assert not virtual.of("velocity_commanded", virtual.rows[sent:]).any()
     reset_wants_homing(virtual)
-
-
-def test_serial_line_that_loses_few_bytes_does_not_end_the_run(virtual: VirtualStation) -> None:
-    virtual.moving()
-    virtual.fail("drop_bytes", "stages", value=0.0005)
-    virtual.seconds(5.0)
-
-    assert virtual.state is State.RUNNING

@@ -1,7 +1,7 @@
 // Cameras: live pictures with the model drawn over them, and snapshots. A picture is requested only while it is visible.
-import { $, button, make, note, onStatus, request, sendCommand, setText } from "../page/station.js";
+import { $, button, enable, make, note, onStatus, request, sendCommand, setText } from "../page/station.js";
 import { row } from "../page/form.js";
-import { isOpen, onTab, openTab } from "../page/tabs.js";
+import { isOpen, onTab } from "../page/tabs.js";
 import { svg } from "../page/chart.js";
 
 const STATE_INTERVAL_MS = 500, OVERLAY_INTERVAL_MS = 150, RETRY_MS = 1500, TIMEOUT_MS = 4000, MARK_PX = 9;
@@ -138,7 +138,7 @@ function showBoard(board) {
   }
   if (board === null) return;
   setText(boardInstruction, running ? board.instruction : "");
-  finishBoard.disabled = !board.enough || board.stage === "solving";
+  enable(finishBoard, board.stage === "solving" ? "The calibration is being computed" : board.enough ? "" : "The cameras need more pictures of the board");
   boardSeen.replaceChildren(...(running ? Object.entries(board.cameras).map(([name, seen]) => make("figure", {}, coverageGrid(seen),
     make("figcaption", {}, make("b", {}, name), ` ${seen.pictures} pictures, ${seen.corners.length} corners now`))) : []));
   boardResult.replaceChildren(...(board.result.length === 0 ? [] : [
@@ -158,10 +158,12 @@ async function pollBoard() {
 const updateAll = () => cameras.forEach((camera) => camera.update());
 
 if (cameras.length === 0) {
-  $("cameras").append(make("p", {}, "This station has no camera. Add a table [cameras.NAME] to its station file."));
-  if (isOpen("cameras")) openTab("start");
+  $("cameras").append(make("h3", {}, "This station has no camera"),
+    make("p", {}, "A camera shows the robot with the model drawn over it, records videos of the runs, and two cameras can measure the tip."),
+    make("p", {}, "With a camera on this computer: add a table with its device (they are listed in ", make("code", {}, "/dev/v4l/by-id"), ") to the station file, and start the station again:"),
+    make("pre", {}, '[cameras.side]\ndevice = "/dev/video0"'),
+    make("p", {}, "Without a camera: ", make("code", {}, "ctr-station serve --lab two_cameras"), " has two simulated ones."));
 } else {
-  $("tab-cameras").hidden = false;
   $("left").append(large);
   setLarge(null);
   onTab("cameras", updateAll);

@@ -1,16 +1,31 @@
 // Devices: connect, home, tare, details of each device, raw values, and the check of the axes' signs.
-import { $, benchNote, button, latest, make, mayCommand, note, onStatus, replaceChanged, request, rigAnswer, sendCommand, setText, unit } from "../page/station.js";
+import { $, benchNote, blockReason, button, confirm, enable, latest, make, note, onStatus, replaceChanged, request, rigAnswer, sendCommand, setText, showFailure, unit, withCode, Refused } from "../page/station.js";
 import { home } from "../page/header.js";
 import { isOpen, onTab, poll } from "../page/tabs.js";
-import { jogWhileHeld, mayJog } from "../jog/jog.js";
+import { jogReason, jogWhileHeld } from "../jog/jog.js";
 
 const rig = await rigAnswer();
 
 const buttons = {
   connect: button("Connect", () => sendCommand("POST", "/api/connect", {})),
   home: button("Home…", home),
-  tare: button("Zero the force sensors", async () => { if (await sendCommand("POST", "/api/tare", {})) note("the force sensors now read zero", true); }),
+  tare: button("Zero the force sensors", tare),
 };
+
+/** Zero the force; where that would hide a contact, only after the user has confirmed that nothing touches the robot. */
+export async function tare() {
+  let untouched = false;
+  try {
+    await request("POST", "/api/tare", {});
+  } catch (error) {
+    if (!(error instanceof Refused && error.message.includes("untouched"))) return showFailure(error);
+    const free = make("label", {}, make("input", { type: "checkbox" }), "I have checked that nothing touches the tubes.");
+    if (!await confirm("Zero the force although the tip may have contact?", "Zero", make("p", {}, error.message), free)) return;
+    untouched = true;
+  }
+  if (!untouched || await sendCommand("POST", "/api/tare", { untouched })) note("the force now reads zero", true);
+}
+
 const ALLOWED = { connect: ["OFF"], home: ["CONNECTED", "READY"], tare: ["READY"] };
 const list = make("div", { className: "live" }), raw = make("table", { className: "live" }), joints = make("div", { className: "jog", style: "grid-template-columns:auto auto 1fr" });
 const bench = make("p", { className: "small" });
@@ -26,7 +41,7 @@ async function showRobots() {
   const others = (await request("GET", "/api/robots").catch(() => [])).filter(({ name }) => name !== rig.robot);
   if (others.length === 0 || robot.children.length > 0) return; // the next opening of the tab tries again
   robot.append(" For another robot end the station and start it with ", make("code", {}, "ctr-station serve --robot NAME"),
-    `: ${others.map(({ name, motors }) => `${name} (${motors} motors)`).join(", ")}.`);
+    ": ", ...withCode(`${others.map(({ name, motors }) => `\`${name}\` (${motors} motors)`).join(", ")}.`));
 }
 onTab("devices", (open) => { if (open) showRobots(); });
 if (isOpen("devices")) showRobots();
@@ -59,7 +74,7 @@ function addAxisCheck(joint, index) {
     verdict.textContent = model < MIN_MOTION_M ? `${result}; hold longer, or bend the tubes first`
       : dot > 0.7 * size * model ? `✓ right direction (${result})` : `✗ not as the model expects (${result}): check the sign of this axis, its wiring and the tracker's frame`;
   });
-  onStatus((status, stale) => { control.disabled = !mayJog(status, stale); });
+  onStatus((status, stale) => { enable(control, jogReason(status, stale)); });
   joints.append(control, verdict, make("span"));
 }
 rig.joints.forEach(addAxisCheck);
@@ -67,7 +82,7 @@ rig.joints.forEach(addAxisCheck);
 // ---- lists
 
 const valueText = (value) => value !== null && typeof value === "object"
-  ? Object.entries(value).map(([key, one]) => `${key} ${valueText(one)}`).join(", ") : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value);
+  ? Object.entries(value).map(([key, one]) => `${key.replaceAll("_", " ")} ${valueText(one)}`).join(", ") : typeof value === "number" ? String(Number(value.toPrecision(6))) : String(value);
 
 /** Return the box of a device: {element, show(device)}. The box stays while its values change, so that a click on its details is not lost. */
 function deviceBox(name) {
@@ -89,15 +104,14 @@ poll("devices", "/api/devices", 500, (all) => {
     boxes.get(one.name).show(one);
   }
   replaceChanged(list, all.devices.map((one) => one.name), () => all.devices.map((one) => boxes.get(one.name).element));
-  raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, name), make("td", { className: "number" }, value.toFixed(6)))));
+  raw.replaceChildren(...Object.entries(all.raw).map(([name, value]) => make("tr", {}, make("td", { className: "any" }, make("code", {}, name)), make("td", { className: "number" }, value.toFixed(6)))));
 });
 onStatus((status, stale) => {
   if (status !== null) {
     setText(bench, benchNote(status.devices));
-    buttons.tare.hidden = !("sensors" in status.devices);
+    buttons.tare.hidden = !("sensors" in status.devices || "tracker" in status.devices);
   }
   for (const [name, control] of Object.entries(buttons)) {
-    control.disabled = stale || status === null || !ALLOWED[name].includes(status.state) || !mayCommand(status);
-    control.title = control.disabled ? `possible while ${ALLOWED[name].join(" or ")}, for the operator` : "";
+    enable(control, blockReason(status, stale, ALLOWED[name]));
   }
 });

@@ -4,6 +4,7 @@ import { switches } from "./notify.js";
 
 const STATES = [
   ["OFF", "no device is connected: press Connect"],
+  ["CONNECTING", "the devices are searched and set up; the first start also compiles the model for a minute or more"],
   ["CONNECTED", "the devices answer, but the positions of the joints are unknown: home the stages"],
   ["READY", "nothing moves, and a motion can start"],
   ["RUNNING, HOMING", "the robot moves"],
@@ -13,7 +14,7 @@ const STATES = [
 ];
 const KEYS = [
   ["Shift+Space", "STOP, wherever the focus is"],
-  ["Escape", "while something moves: STOP; but an open question is closed instead, so use Shift+Space there"],
+  ["Escape", "while something moves, or while the data are old: STOP; but an open question is closed instead, so use Shift+Space there"],
   ["", "at rest: closes what is open: a question, this help, the list of actions or the tour"],
   ["Ctrl+K", "list of all actions, by name"],
   ["← →", "next tab; width of the controls while their border has the focus"],
@@ -30,7 +31,7 @@ const TIPS = [
 const WORDS = [
   ["error", "distance of the tip from its desired position"],
   ["deflection", "distance by which the load moves the tip, from the model and the measured force"],
-  ["force", "force on the tip, from the force sensors at the bases of the tubes, filtered"],
+  ["force", "force on the tip, from the force sensors, filtered"],
   ["working pose", "pose with room for motions in all directions; the robot goes there after homing"],
   ["zero (tare)", "set the force sensors to zero while nothing touches the tubes"],
   ["missed", "periods of the 500 Hz control loop that this computer was too busy to keep"],
@@ -53,6 +54,7 @@ document.querySelector("main").append(dialog);
 /** Open the help below the header, so that STOP stays free; a second call closes it. */
 export function toggleHelp() {
   if (dialog.open) dialog.close(); else dialog.show();
+  dialog.scrollTop = 0; // the focus is on the switches at its end
 }
 
 // A help mark elsewhere on the page opens its section: the event's detail is the last part of the section's id.

@@ -1,17 +1,15 @@
 // Command palette (Ctrl+K): every action of the page by name, with the reason if it is not possible now.
-import { $, button, latest, make, mayCommand, request, sendCommand } from "../page/station.js";
+import { $, blockReason, button, latest, make, request, sendCommand } from "../page/station.js";
 import { changeOperator, home } from "../page/header.js";
 import { stop } from "../page/stop.js";
 import { openTab } from "../page/tabs.js";
 import { toggleHelp } from "./help.js";
 import { tour } from "./welcome.js";
 
-const NO_ANSWER = "the station does not answer";
 const command = (method, path) => () => sendCommand(method, path, method === "POST" ? {} : undefined);
 /** Return the function that gives the reason against a command of the operator; without `states` it is possible in all. */
-const inStates = (...states) => (status) => (status === null ? NO_ANSWER : states.length > 0 && !states.includes(status.state) ? `not while ${status.state}`
-  : mayCommand(status) ? "" : status.operator.role === "viewer" ? "viewers cannot command" : `'${status.operator.name}' is operator`);
-const onlyOperator = (wanted, text) => (status) => (status === null ? NO_ANSWER : status.operator.role === "viewer" ? "viewers cannot take control" : status.operator.you === wanted ? "" : text);
+const inStates = (...states) => (status) => blockReason(status, false, states.length > 0 ? states : null);
+const onlyOperator = (wanted, text) => (status) => (status === null || status.operator.role === "viewer" ? blockReason(status) : status.operator.you === wanted ? "" : text);
 const module = (path) => import(`../${path}.js`); // a tab that cannot be loaded does not affect the palette
 
 /** Actions of the page: {title, words: further words that find it, run, against(status): why it is not possible now; absent: it is always possible}. */

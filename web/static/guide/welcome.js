@@ -1,5 +1,5 @@
 // First visit: one obvious thing to do, and three sentences about the page. Shown once per browser.
-import { $, benchNote, button, ensureFresh, make, setText, mayCommand, onStatus, sendCommand } from "../page/station.js";
+import { $, benchNote, blockReason, button, enable, ensureFresh, make, onStatus, sendCommand, setText } from "../page/station.js";
 import { openTab } from "../page/tabs.js";
 
 const STEPS = [
@@ -19,12 +19,13 @@ async function runDemo() {
 }
 
 onStatus((status) => {
-  // A real robot starts from its form, after a look at the bench. The demo needs a tracker.
-  demo.hidden = status !== null && !(status.simulated && "tracker" in status.devices);
+  // A real robot starts from its form, after a look at the bench. The demo needs a tracker, which a bench with known
+  // devices may lack.
+  demo.hidden = status !== null && (!status.simulated || ("stages" in status.devices && !("tracker" in status.devices)));
   about.hidden = demo.hidden;
   setText(bench, status === null ? "" : benchNote(status.devices));
   bench.hidden = bench.textContent === "";
-  demo.disabled = status === null || status.state !== "READY" || !mayCommand(status);
+  enable(demo, blockReason(status, false, ["READY"]));
   if (status?.state === "RUNNING" && demo.isConnected) close(); // the user has found a motion
   reason.textContent = demo.hidden || !demo.disabled ? "" : status === null ? "" : status.next;
 });

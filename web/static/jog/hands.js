@@ -2,7 +2,7 @@
 import { $, latest, make, onStatus, rigAnswer, setText } from "../page/station.js";
 import { showReason } from "../page/header.js";
 import { isOpen } from "../page/tabs.js";
-import { isHeld, mayJog, release, speed, startJogging } from "./jog.js";
+import { isHeld, jogReason, release, speed, startJogging, step, tipStep } from "./jog.js";
 
 /** Interval between two polls of the pad [ms]; largest deflection that counts as rest, as a fraction of the full one. */
 const POLL_INTERVAL_MS = 25, DEAD_ZONE = 0.12;
@@ -122,6 +122,7 @@ field.addEventListener("keydown", (event) => {
   if (!(event.key in KEY_DIRECTIONS) || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
   event.preventDefault(); // otherwise the key would scroll the panel
   if (event.repeat || !ready) return;
+  if (tipStep() > 0) { step({ tip: KEY_DIRECTIONS[event.key].map((part) => part * tipStep()) }); return; }
   if (!isHeld(field)) down.clear(); // after the end of a jog, keys that are still down must be pressed again
   down.add(event.key);
   startJogging(field, "tip", keyVelocity);
@@ -135,8 +136,8 @@ field.addEventListener("focus", showKeyHint);
 
 function showKeyHint() {
   keyHint.textContent = document.activeElement !== field ? "Keys: click here, or focus this field with Tab"
-    : ready ? "These keys move the tip while they are held" : "These keys are disabled now";
+    : !ready ? "These keys are disabled now" : tipStep() > 0 ? "Each press of a key is a step of the tip" : "These keys move the tip while they are held";
 }
 
-onStatus((status, stale) => { ready = mayJog(status, stale); showKeyHint(); });
+onStatus((status, stale) => { ready = jogReason(status, stale) === ""; showKeyHint(); });
 showKeyHint();

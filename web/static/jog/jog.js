@@ -1,17 +1,16 @@
 // Jog: the robot moves only while a button is held; and motion to a joint pose by numbers. Each jog command expires after
 // 0.3 s, so the robot also stops when the page is lost.
-import { $, button, confirm, ensureFresh, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, tidy, unit, Refused } from "../page/station.js";
+import { $, blockReason, button, confirm, enable, ensureFresh, latest, make, note, onStatus, request, rigAnswer, sendCommand, tidy, unit, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { onTab, openTab } from "../page/tabs.js";
-import { poseText, row } from "../page/form.js";
+import { onTab } from "../page/tabs.js";
+import { form as formOf, poseText, refuse, row, schemas } from "../page/form.js";
 import { box as press } from "./press.js";
 
 const REPEAT_MS = 100; // interval between two jog commands [ms]
 let active = null;
 
-/** Return whether a jog may start or continue. */
-export const mayJog = (status, stale) => status !== null && !stale && mayCommand(status)
-  && (status.state === "READY" || status.phase === "jogging");
+/** Return why no jog may start or continue; empty if it may. */
+export const jogReason = (status, stale) => blockReason(status, stale, status?.phase === "jogging" ? null : ["READY"]);
 
 /**
  * Jog until `release()` is called, and mark the element `shown` as active; `velocity()` returns the velocity in SI. No
@@ -28,7 +27,7 @@ export const isHeld = (shown) => active?.shown === shown;
 /** Jog while `control` is held; `velocity()` returns the velocity in SI. The check of the axes' signs also calls this. */
 export function jogWhileHeld(control, space, velocity, ended = () => {}) {
   const startJog = (event) => {
-    if (active !== null || control.disabled) return;
+    if (active !== null || control.disabled || control.classList.contains("step")) return;
     event.preventDefault();
     if (event.pointerId !== undefined) control.setPointerCapture(event.pointerId);
     startJogging(control, space, velocity, ended);
@@ -44,7 +43,7 @@ export function jogWhileHeld(control, space, velocity, ended = () => {}) {
   control.addEventListener("keydown", (event) => {
     if ((event.code === "Space" || event.code === "Enter") && !event.shiftKey && !event.repeat) startJog(event);
   });
-  control.addEventListener("keyup", (event) => { event.preventDefault(); release(); });
+  control.addEventListener("keyup", (event) => { if (!control.classList.contains("step")) event.preventDefault(); release(); });
 }
 
 async function repeat(jog, velocity) {
@@ -85,26 +84,53 @@ export function speed(label, si, maximum, initial) {
   return { elements: [make("label", {}, label), slider, output], value };
 }
 
+/** Sizes of a step for each unit of the page: SI values. */
+const STEPS = { m: [0.1e-3, 1e-3, 5e-3], rad: [1, 5].map((degrees) => (degrees * Math.PI) / 180) };
+let stepping = false, stepRun = ""; // whether a step has been sent and has not ended; its run
+
+/** Return a choice of what one press does: {elements, value()}; the value is 0 while the robot moves as long as a button is held. */
+function stepSize(label, si) {
+  const [shown, scale] = unit(si), size = make("select", { "aria-label": label }, make("option", { value: 0 }, "while held"),
+    ...STEPS[si].map((value) => make("option", { value }, `by ${tidy(value * scale)} ${shown} each press`)));
+  return { elements: [make("label", {}, label), size, make("span")], size, value: () => Number(size.value) };
+}
+
+/** Send one step, a motion to the pose of `body`; no effect before the previous step has ended. */
+export async function step(body) {
+  if (stepping) return;
+  stepping = true;
+  stepRun = "";
+  const answer = await sendCommand("POST", "/api/goto", body);
+  if (answer === null) stepping = false; else stepRun = answer.run_id;
+}
+
 // ---- buttons of the joints and of the tip
 
 const SIGNS = [[-1, "−", "minus"], [1, "+", "plus"]];
 const controls = [];
 
-function axisRow(label, count, index, space, value, shown) {
+function axisRow(label, count, index, space, value, shown, size = null, target = null) {
   const pair = SIGNS.map(([sign, text, word]) => {
     const control = make("button", { type: "button", className: "hold", "aria-label": `${label} ${word}: hold to move` }, text);
+    size?.size.addEventListener("change", () => {
+      control.classList.toggle("step", size.value() > 0);
+      control.setAttribute("aria-label", `${label} ${word}: ${size.value() > 0 ? "one step" : "hold to move"}`);
+    });
+    control.addEventListener("click", () => { if (size?.value() > 0) step(target(sign * size.value())); });
     jogWhileHeld(control, space, () => Array.from({ length: count }, (_, i) => (i === index ? sign * value() : 0)));
     controls.push(control);
     return control;
   });
   const current = make("span", { className: "dim live" });
   onStatus((status) => { if (status !== null && !$("jog").hidden) current.textContent = shown(status); });
-  return [make("div", {}, make("div", {}, label.replaceAll("_", " ")), current), ...pair];
+  return [make("div", {}, make("div", {}, label), current), ...pair];
 }
 
+/** Text of a value that a station does not send before it is READY, although its devices answer. */
+const NOT_YET = "known after homing";
 const jointText = (joint, status) => {
   const [shown, scale] = unit(joint.unit), value = status.joints[joint.name];
-  return value === undefined ? "" : status.tip_estimated === null ? "unknown" : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
+  return value === undefined ? "" : status.tip_estimated === null ? NOT_YET : `${(value * scale).toFixed(2)} ${shown} (${tidy(Math.round(joint.lower * scale))} … ${tidy(Math.round(joint.upper * scale))})`;
 };
 
 const rig = await rigAnswer();
@@ -112,6 +138,9 @@ const topSpeed = (motion) => Math.min(...rig.joints.filter((one) => one.motion =
 const turning = speed("turn at", "rad/s", topSpeed("rotation"), 0.26);
 const sliding = speed("slide at", "m/s", topSpeed("translation"), 0.26);
 const tip = speed("tip at", "m/s", rig.tip_speed, 0.3);
+const turnSize = stepSize("turn", "rad"), slideSize = stepSize("slide", "m"), tipSize = stepSize("move", "m");
+/** Size of a step of the tip [m]; 0: the tip moves while a button or key is held. */
+export const tipStep = tipSize.value;
 const reason = make("p", { className: "small" });
 
 /** Return a group of fields with its hint, its sliders and its rows of buttons. */
@@ -119,11 +148,13 @@ const group = (title, hint, sliders, rows) => make("fieldset", {}, make("legend"
   make("div", { className: "rows" }, ...sliders.flatMap((slider) => slider.elements)), make("div", { className: "jog", style: "margin-top:10px" }, ...rows.flat()));
 
 $("jog").append(
-  make("p", {}, `The robot moves while you hold a button${matchMedia("(hover: none)").matches ? "" : " with the mouse or with Space"}.`), reason,
-  group("Joints", null, [turning, sliding], rig.joints.map((joint, i) =>
-    axisRow(joint.name, rig.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => jointText(joint, status)))),
-  group("Tip, world frame", "x points down, along gravity; z points along the tubes when they are straight", [tip], ["x", "y", "z"].map((name, i) =>
-    axisRow(name, 3, i, "tip", tip.value, (status) => (status.tip_measured === null ? "not measured now" : `${(1e3 * status.tip_measured[i]).toFixed(2)} mm`)))),
+  make("p", {}, `The robot moves while you hold a button${matchMedia("(hover: none)").matches ? "" : " with the mouse or with Space"}, or by one step for each press.`), reason,
+  group("Joints", null, [turning, turnSize, sliding, slideSize], rig.joints.map((joint, i) =>
+    axisRow(joint.name.replaceAll("_", " "), rig.joints.length, i, "joints", joint.motion === "rotation" ? turning.value : sliding.value, (status) => jointText(joint, status),
+      joint.motion === "rotation" ? turnSize : slideSize, (by) => ({ by: { [joint.name]: by } })))),
+  group("Tip, world frame", "x points down, along gravity; z points along the tubes when they are straight", [tip, tipSize], ["x", "y", "z"].map((name, i) =>
+    axisRow(name, 3, i, "tip", tip.value, (status) => (status.tip_measured !== null ? `${(1e3 * status.tip_measured[i]).toFixed(2)} mm` : status.tip_estimated === null ? NOT_YET : "not measured now"),
+      tipSize, (by) => ({ tip: [0, 1, 2].map((axis) => (axis === i ? by : 0)) })))),
 );
 if (rig.turn_speed !== null) {
   const turnRate = speed("turn at", "rad/s", rig.turn_speed, 0.3);
@@ -132,9 +163,11 @@ if (rig.turn_speed !== null) {
 }
 const teach = button("Add the tip to the waypoints", async () => {
   const { addHere } = await import("../run/waypoints.js");
-  note(`waypoint ${addHere()} is added: run the list in the tab Run, motion 'waypoints'`, true, button("Open", () => openTab("start")));
+  taught.replaceChildren(`waypoint ${addHere()} is added `, openList);
 }, { title: "at the measured position of the tip; the first waypoint is the start" });
-$("jog").append(make("div", { className: "acts" }, teach), press, make("div", { id: "hands" }));
+const taught = make("span", { className: "small", role: "status" }); // beside its button, which a note would cover
+const openList = button("Open the list", async () => (await import("../run/run.js")).openMotion("waypoints"));
+$("jog").append(make("div", { className: "acts" }, teach, taught), press, make("div", { id: "hands" }));
 onTab("jog", (open) => { if (!open) release(); });
 
 // ---- motion to a joint pose: the working pose of the robot's file, or any other
@@ -172,13 +205,37 @@ form.addEventListener("submit", (event) => {
   go("Go to this pose?", pose, { joints: pose });
 });
 fillFields(rig.working_pose);
-$("jog").append(form);
+
+// ---- motion of the tip to a place, by the model
+
+const xyz = (tip) => tip.map((value) => tidy(Number((1e3 * value).toFixed(1))));
+const tipNow = () => latest()?.tip_measured ?? latest()?.tip_estimated ?? null;
+const { place } = (await schemas()).Goto.properties;
+const placeFields = formOf({ properties: { place: { ...place.anyOf[0], description: "position of the tip, world frame [m]" } }, required: ["place"] });
+const placeInputs = [...placeFields.element.querySelectorAll("input")];
+const fillPlace = () => { if (tipNow() !== null) xyz(tipNow()).forEach((text, i) => { placeInputs[i].value = text; }); };
+const placeButton = make("button", { type: "submit", className: "main" }, "Send the tip there…");
+const placeForm = make("form", {}, make("fieldset", {}, make("legend", {}, "Go to a place"), placeFields.element,
+  make("div", { className: "acts" }, placeButton, button("Fill in the present place", fillPlace))));
+placeForm.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const body = placeFields.read(), text = (tip) => `x, y, z = ${xyz(tip).join(", ")} mm`;
+  if (await confirm("Send the tip to this place?", "Go", make("p", {}, `From ${text(tipNow())} to ${text(body.place)}. The model computes the joints; all of them move at the same time.`),
+    make("p", { className: "dim" }, "Check that the path is clear. STOP works at any time.")) && await ensureFresh())
+    await sendCommand("POST", "/api/goto", body, (reason) => refuse(placeForm, reason));
+});
+onTab("jog", (open) => { if (open) fillPlace(); });
+$("jog").append(placeForm, form);
 
 onStatus((status, stale) => {
-  const ready = mayJog(status, stale), mayGo = status !== null && !stale && mayCommand(status) && status.state === "READY";
+  const blocked = jogReason(status, stale), ready = blocked === "", goBlocked = blockReason(status, stale, ["READY"]);
   if (!ready) release();
-  for (const control of controls) control.disabled = !ready;
-  for (const control of [goButton, toWorkingPose]) control.disabled = !mayGo;
-  teach.disabled = !mayGo || status.tip_measured === null;
+  if (status === null || (status.state !== "RUNNING" && status.run?.id === stepRun)) stepping = false;
+  // During a step its button stays enabled, because a disabled one would lose the keyboard's focus.
+  for (const control of controls) enable(control, stepping && control.classList.contains("step") ? "" : blocked);
+  for (const control of [goButton, toWorkingPose]) enable(control, goBlocked);
+  enable(placeButton, goBlocked || (tipNow() === null ? "The tip is not measured now" : ""));
+  if (!placeInputs.some((input) => input.value || input === document.activeElement)) fillPlace();
+  enable(teach, goBlocked || (status.tip_measured === null ? "The tip is not measured now" : ""));
   if (status !== null) showReason(reason, status, ready);
 });

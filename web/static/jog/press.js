@@ -1,8 +1,8 @@
 // Jog: press on an obstacle. The tip moves in a direction until it touches something, and holds a force there. This is an
 // ordinary run of the motion `force`, from the current pose.
-import { clock, ensureFresh, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, setText } from "../page/station.js";
+import { blockReason, enable, ensureFresh, latest, make, note, onStatus, request, rigAnswer, sendCommand, setText, CHECKING } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { form, row, schemas, withMaximum } from "../page/form.js";
+import { form, refuse, row, schemas, withMaximum } from "../page/form.js";
 import { forceDial, newton } from "../page/dial.js";
 
 /** Initial values of the form, SI. */
@@ -18,7 +18,7 @@ const OBSTACLES = [["nothing", null], ["wall, 4 mm ahead", 1000], ["tissue, 4 mm
 const rig = await rigAnswer(), all = await schemas();
 /** Why this station cannot hold a force; empty if it can. */
 const MISSING = rig.controller.inner === "type_2" ? "" : "needs the inner loop type_2, and so a tracker";
-const { force, speed, reach } = withMaximum(all.ForceMotion, "force", rig.max_desired_force).properties, { duration } = all.StartIn.properties;
+const { force, speed, reach } = withMaximum(all.ForceMotion, "force", rig.max_desired_force).properties, { duration } = all.Start.properties;
 const values = form({ properties: { force, speed, reach, duration }, required: ["force", "speed", "reach", "duration"] }, { values: { ...INITIAL_VALUES, force: Math.min(INITIAL_VALUES.force, force.maximum) } });
 const obstacle = make("select", { "aria-label": "simulated obstacle" }, ...OBSTACLES.map(([text], i) => make("option", { value: i }, text)));
 
@@ -42,7 +42,7 @@ async function press() {
     const along = await direction(), stiffness = OBSTACLES[obstacle.value][1];
     const load = !rig.virtual ? {} : { load: stiffness === null ? { kind: "none" } : { kind: "wall", direction: along.map((x) => -x), distance: OBSTACLE_DISTANCE_M, stiffness } };
     const { duration: seconds, ...motion } = values.read();
-    const answer = await sendCommand("POST", "/api/start", { trajectory: { kind: "force", direction: along, ...motion }, controller: { ...rig.controller, stiffness: null }, ...load, duration: seconds });
+    const answer = await sendCommand("POST", "/api/start", { trajectory: { kind: "force", direction: along, ...motion }, controller: { ...rig.controller, stiffness: null }, ...load, duration: seconds }, (text) => refuse(box, text));
     for (const text of answer?.warnings ?? []) note(`started, but ${text}`);
   } catch (error) {
     note(error.message);
@@ -61,7 +61,8 @@ const fields = make("div", {},
 export const box = make("form", { id: "press" }, make("fieldset", {}, make("legend", {}, "Hold a force"), forceDial(), left, fields));
 box.addEventListener("submit", async (event) => {
   event.preventDefault();
-  start.disabled = starting = true;
+  starting = true;
+  show(latest(), false);
   await press();
   starting = false;
   show(latest(), false);
@@ -79,8 +80,8 @@ function show(status, stale) {
   const run = status.state === "RUNNING" ? status.run : null, pressing = Boolean(run?.desired_force), ready = status.state === "READY";
   left.hidden = !pressing;
   fields.hidden = pressing;
-  if (pressing) setText(left, run.phase === "moving" ? `${clock(run.duration * (1 - run.progress))} left of ${clock(run.duration)}. STOP ends it at once.` : status.message);
-  start.disabled = starting || stale || !ready || !mayCommand(status) || MISSING !== "";
+  if (pressing) setText(left, run.phase === "moving" ? "STOP ends it at once." : status.message);
+  enable(start, MISSING || (starting ? CHECKING : blockReason(status, stale, ["READY"])));
   if (MISSING === "") showReason(reason, status, ready); else setText(reason, MISSING);
 }
 onStatus(show);

@@ -207,7 +207,7 @@ const LINE_STYLES = [["#d55e00", ""], [DARK ? "#56b4e9" : "#0072b2", "6 3"], ["#
 /** Size and margins of a small chart, in units of its viewBox. */
 const SMALL = { width: 420, height: 128, left: 40, right: 412, top: 6, bottom: 110 };
 
-/** Return a small line chart of `lines`: [{time: [s], value: []}], without axes; all lines have the same scale from 0 on. */
+/** Return a small line chart of `lines`: [{time: [s], value: []}], without axes; all lines have one scale that starts at 0. */
 export function sparkline(lines) {
   const { width, height } = SPARK, end = Math.max(...lines.map((one) => one.time.at(-1) ?? 0), 1e-3), highest = Math.max(...lines.flatMap((one) => one.value), 1e-3);
   const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true", class: "curve" });
@@ -222,9 +222,10 @@ const SPARK = { width: 64, height: 30 };
 /**
  * Return a chart of `lines`: [{name, time: [s], value: []}], with the values under the pointer. The value axis starts at
  * 0. The time before `from` [s] is shaded, because the errors before that time do not count. `marks`: [{time: [s], text}].
+ * Charts with the same `cursors` (a Set) have one cursor; `onPick(time)` is called with the time of a press. A single line has the `colour`.
  */
-export function curve(title, unit, lines, from = 0, marks = []) {
-  const drawn = lines.filter((one) => one.time.length > 0).map((one, i) => ({ ...one, style: LINE_STYLES[i % LINE_STYLES.length] }));
+export function curve(title, unit, lines, { from = 0, marks = [], cursors = new Set(), onPick = null, colour: own = null } = {}) {
+  const drawn = lines.filter((one) => one.time.length > 0).map((one, i, all) => ({ ...one, style: own !== null && all.length === 1 ? [own, ""] : LINE_STYLES[i % LINE_STYLES.length] }));
   if (drawn.length === 0) return make("p", { className: "small dim" }, `${title}: nothing was recorded`);
   const { width, height, left, right, top, bottom } = SMALL;
   const end = Math.max(...drawn.map((one) => one.time.at(-1)), 1e-3), highest = 1.08 * Math.max(...drawn.flatMap((one) => one.value), 1e-3);
@@ -241,6 +242,8 @@ export function curve(title, unit, lines, from = 0, marks = []) {
   const names = drawn.map(({ name, time, value, style: [colour, dash] }) => {
     const points = time.map((one, k) => `${x(one).toFixed(1)},${y(value[k]).toFixed(1)}`).join(" ");
     picture.append(svg("polyline", { points, stroke: colour, "stroke-dasharray": dash }));
+    const largest = value.reduce((best, one, k) => (time[k] >= from && !(one <= value[best]) ? k : best), nearest(time, from));
+    picture.append(svg("circle", { cx: x(time[largest]), cy: y(value[largest]), r: 3, stroke: colour, class: "largest" }));
     const key = make("span", { hidden: drawn.length === 1 }, name), output = make("span", { className: "said" });
     key.style.borderBottom = `2px ${dash === "" ? "solid" : "dashed"} ${colour}`;
     const showAt = (moment) => { output.textContent = moment === null ? "" : ` ${value[nearest(time, moment)].toPrecision(3)} ${unit}`; };
@@ -249,15 +252,23 @@ export function curve(title, unit, lines, from = 0, marks = []) {
   for (const { time, text } of marks.filter((one) => one.time >= 0 && one.time <= end)) {
     picture.append(svg("line", { x1: x(time), x2: x(time), y1: top, y2: bottom, class: "noted" }), svg("text", { x: x(time) + 3, y: top + 9, class: "noted" }, text));
   }
-  const mark = svg("line", { y1: top, y2: bottom, class: "mark", visibility: "hidden" });
+  const mark = svg("line", { y1: top, y2: bottom, class: "mark", visibility: "hidden" }), moment = make("span", { className: "said" });
   picture.append(mark);
-  picture.addEventListener("pointermove", (event) => {
-    const box = picture.getBoundingClientRect(), pointerX = ((event.clientX - box.left) / box.width) * width;
-    const time = Math.min(end, Math.max(0, ((pointerX - left) / (right - left)) * end));
-    for (const side of ["x1", "x2"]) mark.setAttribute(side, x(time));
-    mark.setAttribute("visibility", "visible");
+  cursors.add((time) => {
+    if (time !== null) for (const side of ["x1", "x2"]) mark.setAttribute(side, x(Math.min(time, end)));
+    mark.setAttribute("visibility", time === null ? "hidden" : "visible");
+    moment.textContent = time === null ? "" : `at ${time.toFixed(2)} s`;
     for (const { showAt } of names) showAt(time);
   });
-  picture.addEventListener("pointerleave", () => { mark.setAttribute("visibility", "hidden"); for (const { showAt } of names) showAt(null); });
-  return make("figure", { className: "small" }, make("figcaption", {}, make("b", {}, `${title} [${unit}]`), ...names.map((one) => one.element)), picture);
+  const timeAt = (event) => {
+    const box = picture.getBoundingClientRect(), pointerX = ((event.clientX - box.left) / box.width) * width;
+    return Math.min(end, Math.max(0, ((pointerX - left) / (right - left)) * end));
+  };
+  picture.addEventListener("pointermove", (event) => { for (const show of cursors) show(timeAt(event)); });
+  picture.addEventListener("pointerleave", () => { for (const show of cursors) show(null); });
+  if (onPick !== null) {
+    picture.classList.add("pick");
+    picture.addEventListener("click", (event) => onPick(timeAt(event)));
+  }
+  return make("figure", { className: "small" }, make("figcaption", {}, make("b", {}, `${title} [${unit}]`), ...names.map((one) => one.element), moment), picture);
 }

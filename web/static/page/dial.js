@@ -1,7 +1,7 @@
-// Dial of a force that the tip holds on an obstacle: estimated and desired force, and the force at which a motion ends.
+// Dial of the force that the tip exerts on an obstacle: estimated and desired force, and the force that ends a motion.
 import { make, onStatus, rigAnswer, setText, SILENT_AFTER_S } from "./station.js";
 import { svg } from "./chart.js";
-import { latestSample } from "./telemetry.js";
+import { isForceKnown, latestSample } from "./telemetry.js";
 
 const REFRESH_INTERVAL_MS = 100;
 /** Size of the drawing, centre and radius of the arc, width of the arc [px]; angles of its ends, clockwise from 12 o'clock [°]. */
@@ -28,7 +28,7 @@ const arc = (from, to) => `M${at(from, RADIUS)}A${RADIUS} ${RADIUS} 0 ${to - fro
 
 /** Describe the force of a telemetry sample along the desired one: {exerted [N], contact [s] since its start, or null}. */
 function measured(sample, desired) {
-  const known = sample !== null && sample.phase === "moving" && sample.force_filtered;
+  const known = sample !== null && sample.phase === "moving" && isForceKnown(sample, desired.map((x) => x / length(desired)));
   if (!known) return { exerted: null, contact: null };
   const exerted = -desired.reduce((sum, x, i) => sum + x * sample.force_filtered[i], 0) / length(desired);
   return { exerted, contact: sample.contact_start > 0 ? sample.time - sample.contact_start : null };

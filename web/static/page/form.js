@@ -1,6 +1,6 @@
 // Forms built from the station's description of its requests (OpenAPI): names, units, bounds, defaults.
 // The page shows millimetres and degrees; requests use SI.
-import { make, once, tidy, unit } from "./station.js";
+import { inPageUnits, make, once, tidy, unit } from "./station.js";
 
 const XYZ = ["x", "y", "z"];
 
@@ -18,6 +18,32 @@ export const poseText = (joints, pose) => joints.map((joint) => {
 export const row = (label, control, unitText = "", title = "") => [
   make("label", { title }, label), control, make("span", { className: "unit", title }, unitText),
 ];
+
+/**
+ * Show in a form why the station refused its values, until the form is changed. The text is below the field that it
+ * names, as in "trajectory.radius: …" or "a period of 8 s would work"; otherwise above the form's last buttons.
+ */
+export function refuse(form, text) {
+  form.querySelector(".refused")?.remove();
+  const said = make("p", { className: "refused", role: "alert" }, inPageUnits(text));
+  const names = (field) => {
+    const words = field.ariaLabel.replace(/ [xyz]$/, "");
+    return new RegExp(`(^|[.; ])${words.replaceAll(" ", "_")}(, number \\d+)?: |\\b${words} of \\S+ .*would work`).test(text);
+  };
+  const field = [...form.querySelectorAll(".rows :is(input, select)[aria-label]")].find(names);
+  const changed = new AbortController();
+  if (field === undefined) [...form.querySelectorAll(".acts")].at(-1).before(said);
+  else {
+    for (let folded = field.closest("details"); folded !== null; folded = folded.parentElement.closest("details")) folded.open = true;
+    let cell = field;
+    while (!cell.parentElement.classList.contains("rows")) cell = cell.parentElement;
+    cell.nextElementSibling.after(said); // after its unit
+    field.setAttribute("aria-invalid", "true");
+    field.focus({ preventScroll: true });
+  }
+  said.scrollIntoView({ block: "nearest" });
+  form.addEventListener("input", () => { said.remove(); field?.removeAttribute("aria-invalid"); changed.abort(); }, { signal: changed.signal });
+}
 
 const named = (reference) => reference.split("/").at(-1);
 /** Return the variants of a union by their `kind`: {circle: schema, ...}. */
@@ -58,7 +84,12 @@ function build(key, field, value, required, choices) {
   const text = (core.description ?? "").replaceAll("\n", " ");
   const [, si = ""] = /\[([^\]]+)\]/.exec(text) ?? [];
   const [shown, scale] = unit(si), label = key.replaceAll("_", " ");
-  const cells = (control, unitText = "") => row(label, control, unitText, text);
+  // The explanation has the page's units; a screen reader reads it with the field, a mouse shows it on the label.
+  const explanation = inPageUnits(text.replace(`[${si}]`, shown === "" ? "" : `[${shown}]`)).replaceAll("`", "").replaceAll("_", " ");
+  const cells = (control, unitText = "") => {
+    for (const field of control.matches("input, select") ? [control] : control.querySelectorAll("input, select")) field.ariaDescription = explanation;
+    return row(label, control, unitText, explanation);
+  };
   if (core.type === "boolean") {
     const box = make("input", { type: "checkbox", checked: Boolean(value), "aria-label": label });
     return { elements: cells(make("span", {}, box)), read: () => box.checked };
@@ -81,6 +112,10 @@ function build(key, field, value, required, choices) {
     return { elements: cells(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
       read: () => (omitted() ? undefined : inputs.map((input) => Number(input.value) / scale)) };
   }
+  if (core.type === "string") {
+    const input = make("input", { type: "text", value: value ?? "", required, "aria-label": label });
+    return { elements: cells(input), read: () => input.value };
+  }
   const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
   return { elements: cells(list, si), read: () => list.value.split(",").map(Number) };
 }
@@ -94,7 +129,7 @@ export function form(schema, { values = {}, more = [], choices = {}, skip = [] }
   for (const [key, field] of Object.entries(schema.properties)) {
     if (field.const !== undefined || skip.includes(key)) continue;
     // Lists of rows and tables are edited in files and scripts only; the form keeps their values.
-    if (field.default !== undefined && (field.type === "object" || field.oneOf || field.items?.type === "array")) {
+    if (field.default !== undefined && (field.type === "object" || field.oneOf || ["array", "string"].includes(field.items?.type))) {
       readers[key] = () => values[key];
       continue;
     }

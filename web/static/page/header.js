@@ -1,5 +1,5 @@
 // The header without STOP: the next action, the operator, state and message, silence, run, devices, loop timing.
-import { $, button, clock, confirm, dataAge, isSilent, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText } from "./station.js";
+import { $, blockReason, button, clock, confirm, dataAge, enable, isSilent, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText, silentReason } from "./station.js";
 import { poseText } from "./form.js";
 import { small } from "./layout.js";
 import { alarm } from "./stop.js";
@@ -40,8 +40,7 @@ const ACTIONS = {
 /** Return the button of an action, by default the next one of `status`; null for an unknown action. */
 export function actionButton(status, action = status.action) {
   if (!(action in ACTIONS)) return null;
-  const disabled = !mayCommand(status) && !["start", "calibrate"].includes(action);
-  return button(...ACTIONS[action], { className: action === status.action ? "main" : "", disabled });
+  return enable(button(...ACTIONS[action], { className: action === status.action ? "main" : "" }), ["start", "calibrate"].includes(action) ? "" : blockReason(status));
 }
 
 /**
@@ -50,15 +49,14 @@ export function actionButton(status, action = status.action) {
  */
 export function showReason(element, status, ready = status.action === "start") {
   const may = mayCommand(status);
-  const reason = status.operator.role === "viewer" ? "viewers cannot start anything" : !may ? `'${status.operator.name}' is operator`
-    : ready ? "" : status.state === "READY" ? status.message : `not while ${status.state}: ${status.next || "wait for the end or press STOP"}`;
+  const reason = blockReason(status) || (ready ? "" : status.state === "READY" ? status.message : `not while ${status.state}: ${status.next || "wait for the end or press STOP"}`);
   replaceChanged(element, [reason, status.action, may], () => (reason === "" || !may ? [reason] : [reason, " ", actionButton(status)]));
 }
 $("reset").addEventListener("click", reset);
 
 /**
- * Show the button of the next action. Reset has a separate button; while the tab Run is open, Home replaces it. While the
- * tab Jog is open, another motion is only the second choice.
+ * Show the button of the next action. Reset has a separate button. While the tab Run is open, Home replaces the button
+ * "Choose a motion". While the tab Jog is open, that button is not the main one.
  */
 function showAction(status) {
   const action = status.action === "reset" ? "" : status.action === "start" && isOpen("start") ? "home" : status.action;
@@ -66,7 +64,7 @@ function showAction(status) {
   replaceChanged($("act"), [action, action === status.action, mayCommand(status), silent, second], () => {
     const control = actionButton(status, action);
     if (second) control.className = "";
-    if (silent && control !== null) control.disabled = true;
+    if (silent && control !== null) enable(control, blockReason(status, true));
     return [control];
   });
 }
@@ -109,7 +107,7 @@ onStatus((status) => {
   if (status === null) return;
   const { operator } = status, act = $("operator-act");
   $("operator-name").textContent = operator.you ? "You are operator" : operator.name === null ? "No operator" : `Operator: ${operator.name}`;
-  $("operator").dataset.holder = operator.you ? "you" : operator.name === null ? "none" : "other"; // a phone shows only another's name
+  $("operator").dataset.holder = operator.you ? "you" : operator.name === null ? "none" : "other"; // a phone shows only the name of another operator
   $("operator-name").title = operator.name ?? "the first command makes its sender operator";
   act.hidden = operator.role !== "operator";
   act.textContent = operator.you ? "Release" : operator.name === null ? "Take control" : "Take over…";
@@ -123,7 +121,7 @@ const AT_REST = ["READY", "HOLD", "STOPPED", "FAULT"];
 
 function showRun(status) {
   const run = status.run, on = run !== null && status.state === "RUNNING" && status.phase !== "jogging"; // a jog is no run
-  // While another motion is in progress, for example homing, the last run is of no interest.
+  // The last run is not shown during a motion that is no run, for example homing.
   $("run-title").textContent = run === null ? "" : on ? run.title : AT_REST.includes(status.state) ? `last run: ${run.title}` : "";
   $("run-title").title = run === null ? "" : `run ${run.id}`;
   $("run-progress").hidden = !on;
@@ -132,7 +130,7 @@ function showRun(status) {
   if (on) $("run-progress").value = run.progress;
 }
 
-/** Merge all cameras into one light, which shows the worst of them, because the header of a phone is narrow. */
+/** Merge all cameras into one indicator, which shows the worst state, because the header of a phone is narrow. */
 function mergedCameras(devices) {
   const entries = Object.entries(devices), cameras = entries.filter(([key]) => key.startsWith("camera "));
   if (cameras.length < 2) return entries;
@@ -161,12 +159,12 @@ function showWarnings(status) {
 }
 $("mind").addEventListener("click", () => openTab("faults"));
 
-// ---- silence: from one second on a chip with the age of the data, a banner, and no colour that looks alive
+// ---- silence: after one second without data a chip with their age, a banner, and no colours of live values
 
 let simulated = false; // whether the last status was one of simulated devices
 let known = null; // last status of a station that answers
 
-/** Show or remove what reports the age of the data. State, values and buttons change at the same moment: see publish(). */
+/** Show or hide the age of the data and the banner. State, values and buttons change at the same moment: see publish(). */
 function showSilence() {
   const age = dataAge(), text = `no data for ${age.toFixed(age < 10 ? 1 : 0)} s`, lost = latest() === null;
   $("age").hidden = $("silence").hidden = !isSilent();
@@ -180,16 +178,16 @@ function showSilence() {
 }
 setInterval(showSilence, 100);
 
-/** Show what a silent station does not offer: the lights of its devices, the loop's timing, and buttons that need answers. */
+/** Show what depends on current data: the next action, the indicators of the devices, the loop's timing and buttons. */
 function showUsable(status) {
   showAction(status);
   showLights(status.devices);
-  $("reset").disabled = !mayCommand(status) || isSilent();
-  $("operator-act").disabled = isSilent();
+  enable($("reset"), blockReason(status, isSilent()));
+  enable($("operator-act"), silentReason());
   setText($("loop"), `500 Hz, ${isSilent() ? "–" : status.loop.missed} missed`);
 }
 
-// ---- the state and its message; a latched state has a bar of its own, so that its message is shown completely
+// ---- the state and its message; a latched state has a separate bar, so that its message is shown completely
 
 const meaning = make("details", {}, make("summary", {}, "What does this mean?"), make("p"), make("p", { className: "dim" }));
 $("latched").append(meaning);
@@ -208,7 +206,7 @@ function showLatched(state, details) {
 /** Next step of a user who is not operator, in a state that lasts until a reset. */
 const whoResets = ({ name, role }) => (role === "viewer" ? "An operator can reset the station." : `Only operator '${name}' can reset the station. Take over to reset it yourself.`);
 
-/** Next step while a motion can start: it names what is visible. On a small screen the list is below the header. */
+/** Next step while a motion can start; it names a visible control. On a small screen the list is below the header. */
 function startHint() {
   const submit = $("start").querySelector("[type=submit]");
   if (!isOpen("start")) return small.matches ? "" : "choose an experiment in the tab Run"; // the button 'Choose a motion' is visible
@@ -226,7 +224,7 @@ onStatus((status) => {
   if (known !== null) showUsable(known);
   showLatched(state, status?.details ?? "");
   if (status === null) {
-    setText($("says"), small.matches ? "" : "what the page shows is old");
+    setText($("says"), small.matches ? "" : "the values on the page are old");
     setText($("next"), "start the station, or wait for its answer");
     return;
   }
@@ -243,6 +241,11 @@ onStatus((status) => {
   showRun(status);
   showWarnings(status);
   const { late_us: late, tick_us: work, missed, ticks, scheduler } = status.loop;
-  $("loop").title = `Control loop: it should run 500 times a second. A period is missed if this computer was too busy; single ones do no harm.\n${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
+  $("loop").title = `Control loop: it should run 500 times a second. A period is missed if this computer was too busy; single missed periods do no harm.\n${ticks} ticks, ${missed} periods missed, ${scheduler}; late p50 ${late.p50} µs, p99 ${late.p99.toFixed(0)} µs,`
     + ` p99.9 ${late.p99_9} µs, max ${late.max} µs; work p50 ${work.p50} µs, p99 ${work.p99} µs`;
+});
+
+// The run continues without this page, but has no operator then, so the browser asks before it leaves the page.
+window.addEventListener("beforeunload", (event) => {
+  if (latest()?.state === "RUNNING" && latest().operator.you) event.preventDefault();
 });

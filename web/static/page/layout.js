@@ -1,4 +1,4 @@
-// Sizes of the page: width of the controls, and on small screens the folded scene and its menu. Kept by the browser.
+// Sizes of the page: width of the controls, which the browser stores; on small screens the folded scene and its menu.
 import { $ } from "./station.js";
 
 const STEP_PX = 24, MIN_PX = 340, MIN_SCENE_PX = 320; // step of an arrow key; smallest widths of the controls and of the scene
@@ -42,7 +42,7 @@ addEventListener("resize", describe);
 const kept = Number(localStorage.getItem("panel"));
 if (kept > 0) setWidth(kept); else describe();
 
-// ---- small screens: the scene can be folded, and what it shows is in a menu
+// ---- small screens: the scene can be folded, and its view options are in a menu
 
 /** Whether the controls are below the scene, as on a phone. */
 export const small = matchMedia("(max-width: 900px), (max-height: 600px)");

@@ -15,6 +15,9 @@ export function make(tag, fields = {}, ...children) {
 /** Return a button that calls `onclick` when it is pressed. */
 export const button = (text, onclick, fields = {}) => make("button", { type: "button", onclick, ...fields }, text);
 
+/** Return the parts of a text for `make`: commands in backticks and quoted names with underscores, which a user types, as code. */
+export const withCode = (text) => text.split(/(`[^`]+`|'\w+_\w+')/).map((part, i) => (i % 2 ? make("code", {}, part.slice(1, -1)) : part));
+
 /** Set the text of `element` only if the text changes, because setting it would clear the user's selection. */
 export const setText = (element, text) => { if (element.textContent !== text) element.textContent = text; };
 
@@ -110,7 +113,7 @@ export async function request(method, path, body, timeout) {
   return text === "" ? null : read();
 }
 
-/** Return a function that requests `path` at its first call and returns the same answer at all others; a refusal is not kept. */
+/** Return a function that requests `path` at its first call and returns this answer at later calls; a refusal is not kept. */
 export function once(path) {
   let answer = null;
   return () => (answer ??= request("GET", path).catch((error) => { answer = null; throw error; }));
@@ -138,27 +141,39 @@ let remedyButton = () => null;
 /** Set the function `make(status)`, which returns a button (or null) to show with a refusal of status 409. */
 export const onRefusal = (make) => { remedyButton = make; };
 
-/** Send a command of the user. Return the answer; if the command failed, show the reason and return null. */
-export async function sendCommand(method, path, body) {
+/**
+ * Send a command of the user. Return the answer; if the command failed, show the reason and return null. `refuse(text)`
+ * shows why a value is invalid; without it a note does.
+ */
+export async function sendCommand(method, path, body, refuse = null) {
   try {
     const answer = await request(method, path, body);
     pollStatus();
     return answer ?? {};
   } catch (error) {
-    await pending;
-    await pollStatus(); // the button must fit the state that refused the command
-    const remedy = error instanceof Refused && error.status === 409 && status !== null ? remedyButton(status) : null;
-    const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
-    note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, remedy, remedy && same);
+    if (refuse !== null && error instanceof Refused && error.status === 422) refuse(error.message); else await showFailure(error);
     return null;
   }
 }
 
+/** Show why a command of the user failed, with a button that removes the reason, if there is one. */
+export async function showFailure(error) {
+  await pending;
+  await pollStatus(); // the button must fit the state that refused the command
+  const remedy = error instanceof Refused && error.status === 409 && status !== null ? remedyButton(status) : null;
+  const before = status, same = (now) => now.state === before.state && now.operator.name === before.operator.name;
+  note(error instanceof Refused ? error.message : `the station does not answer (${error.message})`, false, remedy, remedy && same);
+}
+
+/** The last notes, the newest first: {time, text}. They stay in the tab Faults after they have vanished. */
+export const pastNotes = [];
 const lasting = new Map(); // notes that stay while a condition is true, with their conditions
 
 /** Show a note in the corner, optionally with a button, for 12 s or as long as `isCurrent(status)` is true. */
 export function note(message, good = false, remedy = null, isCurrent = null) {
   const text = inPageUnits(message);
+  pastNotes.unshift({ time: new Date(), text });
+  pastNotes.length = Math.min(pastNotes.length, 30);
   for (const old of $("notes").children) if (old.firstChild.textContent === text) old.remove(); // an older note with the same text is replaced
   const close = button("×", () => box.remove(), { "aria-label": "close" });
   const box = make("div", { className: good ? "note good" : "note" }, make("div", {}, text), remedy, close);
@@ -182,7 +197,7 @@ export function confirm(title, action, ...content) {
   form.querySelector("div").replaceChildren(...content);
   yes.textContent = action;
   const boxes = [...form.querySelectorAll("input[type=checkbox]")];
-  const check = () => { yes.disabled = boxes.some((box) => !box.checked); };
+  const check = () => { enable(yes, boxes.some((box) => !box.checked) ? "Tick every box first" : ""); };
   boxes.forEach((box) => box.addEventListener("change", check));
   check();
   for (const one of others) one.inert = true;
@@ -204,7 +219,7 @@ export function confirm(title, action, ...content) {
 // ---- status of the station: polled several times a second, and marked as stale if it is too old
 
 // The timeout is long, because a late answer is useful, too. While the page waits, it marks its data as stale.
-const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, BUSY_MS = 500; // a check that is later than BUSY_MS finds a busy browser
+const POLL_INTERVAL_MS = 150, TIMEOUT_MS = 10000, BUSY_MS = 500; // a check that is late by BUSY_MS shows a busy browser
 /** Age of the status [s] from which the page sends no command but STOP, reports the silence, and considers the station lost. */
 export const STALE_AFTER_S = 0.48, SILENT_AFTER_S = 1, LOST_AFTER_S = 4;
 const FRESH_WITHIN_S = 3; // a press waits at most this long for current data
@@ -215,14 +230,14 @@ let status = null, receivedAt = 0, pending = null, wasStale = null, silent = fal
 export const onStatus = (listener) => { listeners.push(listener); };
 export const latest = () => status;
 
-/** States in which the robot may send no values, as in web/api/status.py; the status itself is then what must be current. */
+/** States in which the robot may send no values, as in web/api/status.py; then only the status itself must be current. */
 const WITHOUT_VALUES = ["OFF", "FAULT"];
 const valuesAge = () => (status === null || WITHOUT_VALUES.includes(status.state) ? 0 : status.age);
 
 /** Age of the robot's data [s]: the time since the last status, and the age that its values had then. */
 export const dataAge = () => (performance.now() - receivedAt) / 1000 + valuesAge();
 
-/** Return whether the data are so old that nothing on the page may look live: one answer for the whole page. */
+/** Return whether the data are so old that nothing on the page may appear live; all parts of the page use this answer. */
 export const isSilent = () => silent;
 
 function publish() {
@@ -266,8 +281,35 @@ export async function ensureFresh() {
 export const mayCommand = (now = status) =>
   now !== null && now.operator.role === "operator" && (now.operator.you || now.operator.name === null);
 
-/** What a bench that lacks a tracker or force sensors can do, as a sentence; empty for a bench with all devices. */
+/** Why a control that needs current data is disabled; empty if the page has them. */
+export const silentReason = (old = silent) => (old ? "The page has no current data from the robot" : "");
+/** Why a second press of a start has no effect yet. */
+export const CHECKING = "The station checks the motion";
+
+/** Why this page may not send a command now, empty if it may. `states`: the only states in which it has an effect. */
+export function blockReason(now, stale = false, states = null) {
+  if (now === null) return "The station does not answer";
+  if (now.operator.role === "viewer") return "A viewer may only view and STOP";
+  if (!mayCommand(now)) return `'${now.operator.name}' is operator: take over first`;
+  if (states !== null && !states.includes(now.state)) return `Possible while ${states.join(" or ")}, not while ${now.state}`;
+  return silentReason(stale);
+}
+
+/** Enable a control if `reason` is empty; otherwise disable it, and show the reason instead of its usual explanation. */
+export function enable(control, reason) {
+  control.dataset.usual ??= control.title;
+  const title = reason || control.dataset.usual;
+  if (control.title !== title) control.title = title;
+  control.disabled = reason !== "";
+  return control;
+}
+
+/**
+ * Return a sentence about what a rig without tracker or force sensors can do; empty for a rig with all devices, and while
+ * the devices are not known yet.
+ */
 export function benchNote(devices) {
+  if (!("stages" in devices)) return "";
   const tracker = "tracker" in devices, sensors = "sensors" in devices;
   if (tracker && sensors) return "";
   if (tracker) return "This bench has stages and a tracker, but no force sensors: the force is estimated from the deflection of the tip. Everything works but the calibration and the tare of force sensors.";
@@ -280,7 +322,7 @@ export function start() {
   // Old data must be marked even while a request is pending.
   let checkedAt = performance.now(), waited = false;
   setInterval(() => {
-    // After the browser itself was busy, answers are waiting to be read: one check waits for them, the next one does not.
+    // After the browser was busy, answers may wait to be read. One check is skipped for them, the next check is not.
     const now = performance.now();
     waited = !waited && now - checkedAt > BUSY_MS;
     checkedAt = now;

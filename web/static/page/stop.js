@@ -1,5 +1,5 @@
-// STOP: sent by the button, or by keys wherever the focus is, and sent again until the station acknowledges it.
-import { $, request, dataAge, latest, note, pollStatus, make, abortPolls, Refused, SILENT_AFTER_S } from "./station.js";
+// STOP is sent by the button, or by keys wherever the focus is, and is repeated until the station acknowledges it.
+import { $, abortPolls, dataAge, latest, make, note, pollStatus, request, Refused, SILENT_AFTER_S } from "./station.js";
 
 const RETRY_MS = 700, TIMEOUT_MS = 3000; // interval between two STOPs, and time limit for an answer [ms]
 const MOVING = ["RUNNING", "HOMING"];
@@ -18,6 +18,7 @@ async function send(attempt) {
   abortPolls();
   try {
     const { confirmed, note: answer } = await request("POST", "/api/stop", {}, TIMEOUT_MS);
+    if (attempt !== unacknowledged) return; // an earlier answer was reported already
     const late = attempt.tries === 1 ? "" : `acknowledged after ${seconds(attempt)} s and ${attempt.tries} tries`;
     const text = [late, answer].filter((part) => part !== "").join("; ");
     if (confirmed && text !== "") note(`STOP was accepted: ${text}`, true); // a success is never shown as an alarm
@@ -60,14 +61,18 @@ $("stop").addEventListener("click", (event) => { if (event.detail === 0) stop();
 
 /** Stop by Shift+Space (in a text box only while something moves), or by Escape where it has no other effect. */
 function pressed(event) {
-  const status = latest(), moves = status === null || dataAge() > SILENT_AFTER_S || MOVING.includes(status.state);
+  const status = latest(), old = status === null || dataAge() > SILENT_AFTER_S, moves = old || MOVING.includes(status.state);
   const typing = event.target.closest?.("textarea, input:not([type=checkbox], [type=range])") != null;
   const space = event.code === "Space" && event.shiftKey && (moves || !typing);
   const escape = event.key === "Escape" && moves && !$("question").open && event.target.closest?.("select") == null;
   if (!space && !escape) return;
   event.preventDefault();
   event.stopPropagation();
-  if (!event.repeat) stop();
+  if (event.repeat) return;
+  stop();
+  if (!escape || !old) return;
+  for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
+  note("Escape has sent STOP, because the page has no current data about the robot.");
 }
 document.addEventListener("keydown", pressed, true);
 // The page receives no key events of its frames (scene, report, replay), so each frame gets a listener. All frames are

@@ -1,4 +1,5 @@
-// Tabs with arrow keys, as in the WAI-ARIA practices; the tab Bench has tabs itself. And parts that several tabs have.
+// Tabs with arrow keys, as in the WAI-ARIA practices; the tab Bench contains tabs. The page's address names the open tab
+// and its detail, as in #history/RUN, so that Back and links work. Also parts that several tabs use.
 import { $, button, make, request } from "./station.js";
 
 const tabs = [...document.querySelectorAll("[role=tab]")], names = tabs.map((tab) => tab.getAttribute("aria-controls"));
@@ -9,15 +10,57 @@ export const onTab = (id, listener) => { (listeners[id] ??= []).push(listener); 
 /** Return whether a tab is visible, which includes that the tab around it is open. */
 export const isOpen = (id) => $(id).closest("[hidden]") === null;
 
-/** Return the tab that was open last in this browser, or the first tab. */
-export function lastTab() {
-  const stored = localStorage.getItem("tab");
-  return names.includes(stored) ? stored : names[0];
+const word = (id) => $($(id).getAttribute("aria-labelledby")).textContent.toLowerCase(); // of a tab, in the address
+const details = {}, shows = {}; // by tab: the detail that it shows instead of its overview, and the function that shows a detail
+let current = "";
+
+/** Return the tab and its detail in the page's address; if the address has no tab, the tab that was open last. */
+function place() {
+  const [tab, ...detail] = location.hash.slice(1).split("/"), stored = localStorage.getItem("tab");
+  const id = names.find((one) => word(one) === tab);
+  if (id === undefined) return [names.includes(stored) ? stored : names[0], ""];
+  try { return [id, detail.map(decodeURIComponent).join("/")]; } catch { return [id, ""]; }
 }
 
+/** Write the open tab and its detail into the address; `add`: as a new entry of the history, to which Back returns. */
+function writeAddress(add) {
+  const detail = details[current] ? `/${details[current].split("/").map(encodeURIComponent).join("/")}` : "", hash = `#${word(current)}${detail}`;
+  if (hash !== location.hash) history[add && location.hash !== "" ? "pushState" : "replaceState"](null, "", hash);
+}
+
+/** Report the detail that a tab shows, for example the name of a run; empty: the tab shows its overview. */
+export function showing(id, detail) {
+  details[id] = detail;
+  if (current === id) writeAddress(true);
+}
+
+/**
+ * Call `show(detail)` when Back or a link leads to another detail of this tab. If the address names a detail of the tab
+ * now, call it at once and return true.
+ */
+export function onPlace(id, show) {
+  shows[id] = show;
+  const [tab, detail] = place();
+  if (tab !== id || detail === "") return false;
+  details[id] = detail;
+  show(detail);
+  return true;
+}
+
+/** Open the tab of the address and show its detail. */
+export function openPlace() {
+  const [tab, detail] = place(), known = details[tab] ?? "";
+  if (tab in shows) details[tab] = detail;
+  openTab(tab, false);
+  if (detail !== known) shows[tab]?.(detail);
+}
+window.addEventListener("popstate", openPlace);
+
 /** Open a tab, and first the tab around it. */
-export function openTab(id) {
+export function openTab(id, add = true) {
   localStorage.setItem("tab", id);
+  current = id;
+  if (id in shows || add) writeAddress(add);
   const before = names.filter(isOpen);
   for (let panel = $(id); panel !== null; panel = panel.parentElement.closest("[role=tabpanel]")) choose(panel);
   for (const name of names) {

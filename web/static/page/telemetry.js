@@ -1,5 +1,5 @@
 // The live telemetry: one stream for the whole page, and its last minutes. Stale and invalid values are null.
-import { stored, stream, STALE_AFTER_S } from "./station.js";
+import { rigAnswer, stored, stream, STALE_AFTER_S } from "./station.js";
 
 const RATE_HZ = 20; // requested samples [Hz]
 const KEY = "telemetry";
@@ -39,6 +39,12 @@ export function directionError(sample, group) {
   return (180 / Math.PI) * Math.atan2(across, actual.reduce((sum, x, i) => sum + x * desired[i], 0));
 }
 
+let knownStd = Infinity; // standard deviation above which a force is unknown [N]
+rigAnswer().then((rig) => { knownStd = rig.known_force_std; });
+/** Return whether a sample's force along a unit vector is known; without force sensors, it is unknown along the tubes. */
+export const isForceKnown = (sample, along) =>
+  sample.force_filtered !== null && Math.sqrt(along.reduce((sum, x, i) => sum + x * x * (sample.force_variance?.[i] ?? 0), 0)) <= knownStd;
+
 function receive(sample) {
   receivedAt = performance.now();
   if (samples.length && sample.time < samples.at(-1).time) samples.length = 0; // the time has decreased, so the control process has restarted
@@ -55,7 +61,7 @@ stream(`telemetry?rate=${RATE_HZ}`, receive, gap);
 
 window.addEventListener("pagehide", () => {
   const text = (recent) => JSON.stringify(recent, (_, value) => (typeof value === "number" ? Number(value.toFixed(7)) : value));
-  // A browser stores a few million characters. If the samples do not fit, only the newest half is stored, and so on.
+  // A browser stores a few million characters. While the samples do not fit, the older half of them is left out.
   for (let recent = samples; recent.length > 0; recent = recent.slice(Math.ceil(recent.length / 2))) {
     try { sessionStorage.setItem(KEY, text(recent)); return; } catch { continue; }
   }

@@ -1,12 +1,15 @@
 // Queue of runs, above the motions of the tab Run: what runs next, why it waits, and its order.
-import { button, confirm, latest, make, mayCommand, note, onStatus, request, sendCommand } from "../page/station.js";
+import { blockReason, button, confirm, enable, latest, make, note, onStatus, request, sendCommand } from "../page/station.js";
+import { refuse } from "../page/form.js";
 import { isOpen, onTab } from "../page/tabs.js";
 
 const POLL_INTERVAL_MS = 1000, MAX_REPEATS = 50; // as in web/api/queue.py
 const SIGNS = { waiting: "○", running: "▶", done: "●", failed: "▲" };
 const list = make("ol"), state = make("p", { className: "small", role: "status" });
 const act = (method, path, text, label, body) => button(text, async () => { if (await sendCommand(method, path, body)) refresh(); }, { "aria-label": label });
-const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), resume = act("POST", "/api/queue/resume", "Continue", "continue the queue", {}), clear = act("DELETE", "/api/queue", "Remove waiting runs", "remove waiting runs from the queue");
+const pause = act("POST", "/api/queue/pause", "Pause", "pause the queue", {}), resume = act("POST", "/api/queue/resume", "Continue", "continue the queue", {}), clear = button("Remove waiting runs…", async () => {
+  if (await confirm("Remove all waiting runs?", "Remove", make("p", {}, "The run in progress continues.")) && await sendCommand("DELETE", "/api/queue")) refresh();
+}, { "aria-label": "remove waiting runs from the queue" });
 /** The queue, hidden while it is empty. */
 export const box = make("fieldset", { id: "queue", hidden: true }, make("legend", {}, "Queue"), state, list, make("div", { className: "acts" }, pause, resume, clear));
 
@@ -22,7 +25,7 @@ export async function addToQueue(body, repeat = null) {
   const times = repeat === null ? 1 : repeat.read();
   if (times === null || (startsAtOnce() && !await confirm("Start the queue?", "Start",
     make("p", {}, "Nothing runs and nothing waits, so the robot starts the first run at once: it first goes to the run's start pose. Check that the path is clear. STOP works at any time.")))) return;
-  const queue = await sendCommand("POST", "/api/queue", { ...body, repeat: times });
+  const queue = await sendCommand("POST", "/api/queue", { ...body, repeat: times }, repeat && ((text) => refuse(repeat.element.closest("form"), text)));
   if (queue === null) return;
   note(times === 1 ? "added to the queue" : `added to the queue ${times} times`, true);
   show(queue);
@@ -58,5 +61,5 @@ async function refresh() {
 }
 setInterval(refresh, POLL_INTERVAL_MS);
 onTab("start", refresh);
-onStatus((status, stale) => { for (const control of box.querySelectorAll("button")) control.disabled = stale || !mayCommand(status); });
+onStatus((status, stale) => { for (const control of box.querySelectorAll("button")) enable(control, blockReason(status, stale)); });
 refresh();

@@ -1,8 +1,8 @@
 // Run: the station's experiments, and free motions with custom parameters.
-import { $, button, confirm, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, Refused } from "../page/station.js";
+import { $, blockReason, button, confirm, enable, ensureFresh, inPageUnits, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand, withCode, CHECKING, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { form, poseText, schemas, sentence, variants, withMaximum } from "../page/form.js";
-import { card, head, openTab } from "../page/tabs.js";
+import { form, poseText, refuse, schemas, sentence, variants, withMaximum } from "../page/form.js";
+import { card, head, onPlace, openTab, showing } from "../page/tabs.js";
 import { go } from "../jog/jog.js";
 import { change, origin, rows } from "./waypoint_list.js";
 import { box as now } from "./now.js";
@@ -27,55 +27,85 @@ const FINAL_PAUSE_S = 3;
 const NEAR_START = { rad: 0.02, m: 0.001 };
 
 const content = make("div"); // the list of motions, or the form of one
-$("start").replaceChildren(now, queue, content);
+const motionsView = button("Motions", () => view(false)), runView = enable(button("This run", () => view(true)), "No run is in progress");
+$("start").replaceChildren(make("div", { className: "views", role: "group", "aria-label": "shown in this tab" }, motionsView, runView), queue, now, content);
+view(false);
+
+/** Show the run in progress, or the motions: each in the place of the other, so that nothing moves. */
+function view(ofRun) {
+  now.hidden = !ofRun;
+  content.hidden = ofRun;
+  motionsView.setAttribute("aria-pressed", String(!ofRun));
+  runView.setAttribute("aria-pressed", String(ofRun));
+  $("start").scrollTop = 0;
+}
+
+let running = ""; // id of the run in progress
+onStatus((status) => {
+  if (status === null) return; // no answer: what the station did last stays visible
+  const run = status.state === "RUNNING" && status.run ? status.run.id : "";
+  enable(runView, run === "" ? "No run is in progress" : "");
+  if (run === running) return;
+  const isWriting = content.contains(document.activeElement) && document.activeElement.matches("input, select, textarea");
+  if (run === "" || !isWriting) view(run !== "");
+  running = run;
+});
 let loaded = null, starting = false, blockedReason = "", rig = null, submitButton = null, refusal = null;
 
 /** Show a form; its button `label` starts a motion. */
 function open(title, children, label, onStart) {
   submitButton = make("button", { type: "submit", className: "main" }, label);
-  refusal = make("span", { className: "small dim" });
+  refusal = make("span", { className: "small dim refusal" });
   const element = make("form", {}, head("all motions", overview, title), ...children, make("div", { className: "acts sticky" }, submitButton, refusal));
   element.addEventListener("submit", async (event) => {
     event.preventDefault();
-    submitButton.disabled = starting = true;
+    starting = true;
+    refresh();
     if (await ensureFresh()) await onStart(); // disabled meanwhile, because the station first checks the path on the model
     starting = false;
   });
   content.replaceChildren(element);
-  $("start").scrollTop = 0;
+  view(false);
   refresh();
 }
 
 /** Start a run and show its warnings, except warnings that were already shown. */
 async function startRun(body, shownWarnings = []) {
-  const answer = await sendCommand("POST", "/api/start", body);
+  const answer = await sendCommand("POST", "/api/start", body, (text) => refuse(content.querySelector("form"), text));
   for (const text of answer?.warnings ?? []) if (!shownWarnings.includes(text)) note(`started, but ${text}`);
 }
 
 const missingTarget = (kind) => (kind === "follow" && !rig.can_track_target ? NO_TARGET : "");
 
+/** Return the title of a kind of motion; "hold" is also a state of the station. */
+const motionTitle = (kind) => (kind === "hold" ? "stay" : kind.replaceAll("_", " "));
+
 async function overview() {
+  showing("start", "");
   // The descriptions come at once; the check of every motion on the model takes seconds, and longer on a busy computer.
   const described = loaded ?? request("GET", "/api/experiments?check=false").catch((error) => error);
-  const all = await schemas(), motions = Object.entries(variants(all, all.StartIn.properties.trajectory));
+  const all = await schemas(), motions = Object.entries(variants(all, all.Start.properties.trajectory));
   const experiments = make("div", {}, make("p", { className: "dim" }, "loading …"));
   submitButton = null;
-  content.replaceChildren(
-    experiments,
-    make("h3", {}, "Free motions, from the current pose"),
-    make("div", { className: "cards" }, ...motions.map(([kind, schema]) =>
-      card(kind.replaceAll("_", " "), [sentence(schema), missingTarget(kind)], () => motion(kind, schema, all))),
-    // The API description contains StreamAgreement only if the gateway accepts targets.
-    all.StreamAgreement && card("external target", [STREAM_DESCRIPTION], () => streamForm(all))),
-  );
+  content.replaceChildren(experiments);
+  // The free motions come below the experiments, when the list of these has its length; nothing moves then.
+  const addFree = () => {
+    if (!experiments.isConnected || experiments.nextSibling !== null) return;
+    content.append(make("h3", {}, "Free motions, from the current pose"), make("div", { className: "cards" },
+      ...motions.map(([kind, schema]) => card(motionTitle(kind), [sentence(schema), missingTarget(kind)], () => motion(kind, schema, all))),
+      // The API description contains StreamAgreement only if the gateway accepts targets.
+      all.StreamAgreement && card("external target", [STREAM_DESCRIPTION], () => streamForm(all))));
+  };
   try {
     const first = await described;
     if (first instanceof Error) throw first;
     showExperiments(experiments, first);
+    addFree();
     const now = await request("GET", "/api/experiments"); // a user may have edited experiment files meanwhile
     if (JSON.stringify(now) !== JSON.stringify(loaded)) showExperiments(experiments, loaded = now);
   } catch (error) {
     experiments.replaceChildren(make("p", { className: "mind" }, `the experiments could not be loaded: ${error.message}`), button("Try again", overview));
+    addFree();
   }
 }
 
@@ -89,7 +119,7 @@ function showExperiments(list, all) {
   const unavailable = all.filter((one) => refusalOf(one) !== ""), offered = all.filter((one) => refusalOf(one) === "");
   list.replaceChildren(...Object.entries(GROUPS).flatMap(([group, title]) => {
     const cards = offered.filter((one) => one.group === group).map((one) =>
-      card(one.name.replaceAll("_", " "), [one.title, one.checked ? "" : "checking on the model …"], () => experiment(one), make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: "", width: 116, height: 58 })));
+      card(one.name.replaceAll("_", " "), [one.title, one.checked ? "" : "checking on the model …"], () => experiment(one), make("img", { src: `/api/experiments/${one.name}/picture.svg`, alt: "", width: 116, height: 58, loading: "lazy" })));
     return cards.length === 0 ? [] : [make("h3", {}, title), make("div", { className: "cards" }, ...cards)];
   }));
   if (unavailable.length) list.append(make("details", { open: unavailable.some((one) => one.error !== "") },
@@ -103,13 +133,21 @@ export async function openExperiment(name, caseName) {
   const one = all.find((each) => each.name === name && each.error === "");
   if (one === undefined || !one.cases.some((each) => each.name === (caseName ?? each.name))) note(`'${name}${caseName === undefined ? "" : `, ${caseName}`}' is not an experiment of this station any more`);
   else experiment(one, caseName);
+  if (!content.hasChildNodes()) await overview();
+}
+
+/** Open the form of a free motion. */
+export async function openMotion(kind) {
+  openTab("start");
+  const all = await schemas();
+  motion(kind, variants(all, all.Start.properties.trajectory)[kind], all);
 }
 
 /** Open the form of a recorded run with its settings, and press its button. */
 export async function runAgain(id) {
   let run;
   try { run = await request("GET", `/api/runs/${encodeURIComponent(id)}/settings`); } catch (error) { note(error.message); return; }
-  const { experiment: name, case: caseName, settings } = run, all = await schemas(), schema = variants(all, all.StartIn.properties.trajectory)[settings.trajectory?.kind];
+  const { experiment: name, case: caseName, settings } = run, all = await schemas(), schema = variants(all, all.Start.properties.trajectory)[settings.trajectory?.kind];
   if (name === "" && schema === undefined) { note("this run has no settings to run again: an external program controlled it"); return; }
   openTab("start");
   if (name !== "") await openExperiment(name, caseName);
@@ -120,12 +158,13 @@ export async function runAgain(id) {
 
 /** Return the unavailable experiments, grouped by their reason. */
 const groupedByReason = (all) => [...new Set(all.map(refusalOf))].map((reason) => make("p", { className: "small" },
-  make("b", {}, all.filter((one) => refusalOf(one) === reason).map((one) => one.name.replaceAll("_", " ")).join(", ")), `: ${inPageUnits(reason)}`));
+  make("b", {}, all.filter((one) => refusalOf(one) === reason).map((one) => one.name.replaceAll("_", " ")).join(", ")), ": ", ...withCode(inPageUnits(reason))));
 
 function experiment(one, caseName = one.cases[0].name) {
+  showing("start", `experiment/${one.name}${caseName === one.cases[0].name ? "" : `/${caseName}`}`);
   const select = make("select", { "aria-label": "case", className: "wide" }, ...one.cases.map((each) => make("option", { value: each.name, selected: each.name === caseName }, each.words)));
   const facts = make("div", { className: "rows" });
-  const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px" });
+  const drawn = make("img", { alt: `path and load of ${one.name}`, width: 288, height: 144, style: "background:#fff;border-radius:6px;filter:var(--drawing)" });
   const show = () => {
     const chosen = one.cases.find((each) => each.name === select.value);
     drawn.src = `/api/experiments/${one.name}/picture.svg?case=${encodeURIComponent(chosen.name)}`;
@@ -139,7 +178,7 @@ function experiment(one, caseName = one.cases[0].name) {
   };
   select.addEventListener("change", show);
   show();
-  open(one.name, [make("p", {}, one.title), drawn, make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
+  open(one.name.replaceAll("_", " "), [make("p", {}, one.title), drawn, make("p", { className: "small dim" }, "left: path of the tip; right: load over the motion"),
     make("div", { className: "rows" }, make("label", {}, "case"), select), make("h3", {}, "What it does"), facts], "Start experiment", async () => {
     const chosen = show(), now = latest().joints;
     const farFromStart = rig.joints.some((joint) => !(Math.abs(now[joint.name] - chosen.start[joint.name]) < NEAR_START[joint.unit]));
@@ -154,11 +193,13 @@ function experiment(one, caseName = one.cases[0].name) {
 }
 
 function union(all, field, kind, title, values = INITIAL_VALUES[kind]) {
-  const kinds = variants(all, field), select = make("select", { "aria-label": title }, ...Object.keys(kinds).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
+  const { installed, ...own } = variants(all, field), kinds = installed && rig.loads.length > 0 ? { ...own, installed } : own;
+  const select = make("select", { "aria-label": title }, ...Object.keys(kinds).map((one) => make("option", { value: one }, one.replaceAll("_", " "))));
   const fields = make("div"), description = make("p", { className: "small dim" });
   let chosen = null;
   const show = () => {
-    chosen = form(kinds[select.value], { values: select.value === kind ? values : INITIAL_VALUES[select.value], more: FOLDED_FIELDS });
+    chosen = form(kinds[select.value], { values: select.value === kind ? values : INITIAL_VALUES[select.value], more: FOLDED_FIELDS,
+      choices: { name: rig.loads } });
     description.textContent = sentence(kinds[select.value]);
     fields.replaceChildren(chosen.element);
   };
@@ -176,12 +217,13 @@ function controllerForm(all, values = rig.controller, yields = true) {
 }
 
 function motion(kind, schema, all, values = {}) {
+  showing("start", `motion/${kind}`);
   const holdsForce = ["force", "palpate"].includes(kind);
   const path = form(holdsForce ? withMaximum(schema, "force", rig.max_desired_force) : schema, { values: { ...INITIAL_VALUES[kind], ...values.trajectory }, more: FOLDED_FIELDS, skip: ["points"] });
   // Only the virtual lab can apply a load; on a real rig a person attaches it.
-  const load = rig.virtual ? union(all, all.StartIn.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
+  const load = rig.virtual ? union(all, all.Start.properties.load, values.load?.kind ?? "none", "Load on the simulated tip", values.load) : null;
   const control = controllerForm(all, values.controller, !holdsForce);
-  const time = form({ properties: { duration: all.StartIn.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
+  const time = form({ properties: { duration: all.Start.properties.duration }, required: ["duration"] }, { values: { duration: values.duration ?? 60 } });
   const read = () => ({ trajectory: { ...path.read(), ...(table && { points: table.read() }) }, ...(load && { load: load.read() }), controller: control.read(), ...time.read() });
   blockedReason = missingTarget(kind);
   const table = kind === "waypoints" ? waypointTable(path, control, time) : null;
@@ -202,7 +244,7 @@ function streamForm(all) {
   open("external target", [make("p", {}, STREAM_DESCRIPTION),
     make("p", { className: "small dim" }, "The tip does not move before the first target arrives. The first program that sends a target controls the tip until it disconnects. Keep this page open, and STOP within reach."),
     make("fieldset", {}, make("legend", {}, "Bounds"), bounds.element), control.element],
-  "Start following", () => sendCommand("POST", "/api/gateway/target", { ...bounds.read(), controller: control.read() }));
+  "Start following", () => sendCommand("POST", "/api/gateway/target", { ...bounds.read(), controller: control.read() }, (text) => refuse(content.querySelector("form"), text)));
 }
 
 /**
@@ -275,10 +317,16 @@ function refresh() {
   const status = latest();
   if (submitButton === null || status === null) return;
   const ready = status.state === "READY", mayStart = mayCommand(status);
-  submitButton.disabled = !ready || !mayStart || starting || blockedReason !== "";
+  enable(submitButton, starting ? CHECKING : blockedReason || blockReason(status, false, ["READY"]));
   if (ready && mayStart && blockedReason !== "") { refusal.dataset.shown = ""; refusal.textContent = blockedReason; } else showReason(refusal, status);
 }
 onStatus(refresh);
 
 rig = await rigAnswer();
-await overview();
+const isShown = onPlace("start", async (place) => {
+  const [what, name, caseName] = place.split("/"), all = await schemas(), kinds = variants(all, all.Start.properties.trajectory);
+  if (what === "experiment") openExperiment(name, caseName);
+  else if (what === "motion" && name in kinds) motion(name, kinds[name], all);
+  else overview();
+});
+if (!isShown) await overview();

@@ -21,11 +21,16 @@ export function stiffnessForm(schema, values) {
   const initial = Object.fromEntries(AXES.map((name, i) => [name, values.stiffness?.[i]]));
   const fields = form({ properties: { ...Object.fromEntries(axes), stiffness_frame, max_offset } }, { values: { ...values, ...initial } });
   const inputs = [...fields.element.querySelectorAll("input")].slice(0, AXES.length), tubes = make("span");
+  const describe = (found) => { tubes.textContent = ` At the current pose the tubes alone have ${found.join(", ")} N/m along x, y, z of the world frame.`; };
+  describe([30, 30, 300]); // an invisible example keeps the place, so that the answer does not move the fields below it
+  tubes.style.visibility = "hidden";
   const check = () => { for (const input of inputs) input.required = inputs.some((one) => one.value !== ""); }; // all three or none
   fields.element.addEventListener("input", check);
   check();
   tubeStiffness().then((found) => {
-    if (found !== null) tubes.textContent = ` At the current pose the tubes alone have ${found.map((one) => Number(one.toPrecision(2))).join(", ")} N/m along x, y, z of the world frame.`;
+    if (found === null) return;
+    describe(found.map((one) => Number(one.toPrecision(2))));
+    tubes.style.visibility = "";
   }).catch(() => {}); // the fields are complete without this hint
   const element = make("fieldset", {}, make("legend", {}, "Stiffness of the tip"),
     make("p", { className: "small dim" }, "Empty: as stiff as the joints allow. With three values the tip gives way to a force like a spring, for example 1 mm for 0.1 N at 100 N/m, but not further than the max offset.", tubes),

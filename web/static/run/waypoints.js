@@ -1,5 +1,5 @@
 // Table of waypoints: added at the tip, typed, or loaded from a file; drawn, and checked on the model before the start.
-import { $, button, inPageUnits, latest, make, mayCommand, onStatus, request, rigAnswer, setText, tidy, Refused } from "../page/station.js";
+import { $, blockReason, button, enable, inPageUnits, latest, make, onStatus, request, rigAnswer, setText, tidy, Refused } from "../page/station.js";
 import { step, svg } from "../page/chart.js";
 import { add, addRow, canUndo, change, csvOf, edit, firstError, move, onChange, origin, parseCsv, remove, rows, setStartTip, setTimes, undo, UNITS } from "./waypoint_list.js";
 
@@ -32,7 +32,7 @@ export function addHere() {
 export function waypoints(rest, goThere) {
   const body = make("tbody"), message = make("p", { className: "small", role: "status" }), picture = make("div");
   const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: USUAL_SPEED / MM, required: true, "aria-label": "speed between waypoints" });
-  const addButton = button("Add waypoint here", () => add(latest().tip_measured, latest().joints, metresPerSecond()), { className: "main" }), undoButton = button("Undo", undo);
+  const addButton = button("Add waypoint here", () => add(latest().tip_measured, latest().joints, metresPerSecond()), { className: "main", title: "at the measured position of the tip" }), undoButton = button("Undo", undo);
   const offsetWarning = make("span", { className: "small mind" });
   const goButton = button("Go to the start…", () => goThere("Go to the start?", origin().joints, { joints: origin().joints }));
   const startBox = make("p", { className: "acts", style: "margin:8px 0 0" }, offsetWarning, goButton);
@@ -45,7 +45,7 @@ export function waypoints(rest, goThere) {
   const element = make("div", { className: "teach" },
     make("div", { className: "acts", style: "margin:0 0 8px" }, addButton, button("Add a row", () => { addRow(metresPerSecond()); focus(rows().length - 1, 0); }, { title: "add a row to fill in" }), undoButton),
     make("table", { className: "places", "aria-label": "waypoints, relative to the tip at the start" },
-      make("thead", {}, make("tr", {}, make("th", {}, "#"), ...COLUMN_TITLES.map((head) => make("th", {}, head)), make("th"))), body),
+      make("thead", {}, make("tr", {}, make("th", {}, "#"), ...COLUMN_TITLES.map((head) => make("th", {}, head.replace(/^[xyz]/, "Δ$&"))), make("th"))), body),
     message, startBox, picture,
     make("div", { className: "acts" }, make("label", {}, "speed ", speed, " mm/s"), button("Times from speed", () => { if (speed.reportValidity()) setTimes(metresPerSecond()); }, { title: "compute the times of all waypoints from the speed" })),
     make("div", { className: "acts small" }, make("label", {}, "CSV ", file), make("label", {}, "in ", unit), button("Save as CSV", download, { title: "save the table as a CSV file" })));
@@ -72,9 +72,9 @@ export function waypoints(rest, goThere) {
       return make("td", {}, input);
     });
     const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
-    const smallButton = (text, label, onclick, disabled = false) => button(text, onclick, { title: label, "aria-label": label, disabled });
+    const smallButton = (text, label, onclick, reason = "") => enable(button(text, onclick, { title: label, "aria-label": label }), reason);
     return make("tr", { className: "place" }, make("td", { className: "dim" }, String(i + 1)), ...cells, make("td", { className: "order" },
-      smallButton("↑", `waypoint ${i + 1} up`, () => shift(-1), i === 0), smallButton("↓", `waypoint ${i + 1} down`, () => shift(1), i === rows().length - 1),
+      smallButton("↑", `waypoint ${i + 1} up`, () => shift(-1), i === 0 ? "This waypoint is the first" : ""), smallButton("↓", `waypoint ${i + 1} down`, () => shift(1), i === rows().length - 1 ? "This waypoint is the last" : ""),
       smallButton("×", `delete waypoint ${i + 1}`, () => { remove(i); focus(Math.min(i, rows().length - 1), 6); })));
   }
 
@@ -83,7 +83,7 @@ export function waypoints(rest, goThere) {
     const oldRows = [...body.querySelectorAll("tr.place")];
     if (oldRows.length !== rows().length) body.replaceChildren(...rows().map(line));
     else oldRows.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => { input.value = cellText(rows()[i][k], k); }));
-    undoButton.disabled = !canUndo();
+    enable(undoButton, canUndo() ? "" : "Nothing to undo");
     checkResult = null;
     fileError = "";
     showCheck();
@@ -137,10 +137,9 @@ export function waypoints(rest, goThere) {
     const atStart = start === null || status === null || rig.joints.every(({ name, unit: si }) => Math.abs(status.joints[name] - start.joints[name]) < NEAR_START[si]);
     if (start !== null && start.tip === null && atStart && isReady && tip !== null) setStartTip(tip);
     const startUnknown = origin() !== null && origin().tip === null;
-    addButton.disabled = tip === null || startUnknown || !isReady;
-    addButton.title = tip === null ? "the tip is not measured now" : startUnknown ? "go to the start first: waypoints are relative to it" : isReady ? "at the measured position of the tip" : "possible while READY";
+    enable(addButton, !isReady ? `Possible while READY, not while ${status?.state}` : tip === null ? "The tip is not measured now" : startUnknown ? "Go to the start first: waypoints are relative to it" : "");
     startBox.hidden = atStart;
-    goButton.disabled = !isReady || !mayCommand(status);
+    enable(goButton, blockReason(status, false, ["READY"]));
     if (atStart) return;
     const far = startUnknown || tip === null ? "" : `${(Math.hypot(...tip.map((part, i) => part - origin().tip[i])) / MM).toFixed(1)} mm`;
     setText(offsetWarning, far === "" ? "▲ The robot is not at the start of this list. A motion from here shifts the whole path."

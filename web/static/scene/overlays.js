@@ -1,7 +1,6 @@
 // Overlays of the scene: buttons of the views, a foldable legend, and the close-up of the tip.
-import { $, button, client, isSilent, make, onStatus, request, setText, stream } from "../page/station.js";
+import { $, button, client, enable, isSilent, make, onStatus, request, setText, silentReason, stream } from "../page/station.js";
 import { cleared } from "../page/chart.js";
-import { openTab } from "../page/tabs.js";
 
 const legend = await request("GET", "/api/scene/legend");
 
@@ -44,7 +43,7 @@ const fold = button("▾", () => foldCloseUp(box.dataset.folded !== "true"));
 const box = make("section", { id: "tip", "aria-label": "close-up of the tip" },
   make("header", {}, make("b", {}, "Tip"), planes, button("−", () => zoom(1), { "aria-label": "show more around the tip", "data-zoom": "" }),
     button("+", () => zoom(-1), { "aria-label": "enlarge the tip", "data-zoom": "" }), fold), canvas, caption);
-const modelText = make("span", {}), calibrate = button("Calibrate", () => openTab("calibrate"));
+const modelText = make("span", {}), calibrate = button("Calibrate", () => { location.hash = "calibrate/clearing"; });
 const modelError = make("div", { id: "model-error", hidden: true }, modelText, calibrate);
 $("view").append(box, views, legendBox, modelError);
 foldCloseUp(innerWidth <= 600); // on a phone it would cover the robot's tip
@@ -116,7 +115,7 @@ function describe({ measured, desired, contact, force }) {
 /** Show the distance between the model's tip and the measured tip while the scene draws the model's end. */
 function showModelError() {
   modelError.hidden = picture === null || picture.model_end.length === 0;
-  calibrate.disabled = isSilent();
+  enable(calibrate, silentReason());
   if (!modelError.hidden) setText(modelText, `model ${isSilent() ? "–" : picture.model_error.toFixed(1)} mm from tracker: not calibrated`);
 }
 

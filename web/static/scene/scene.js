@@ -1,5 +1,5 @@
 // The scene in its frame, which is loaded under this page's identity and reconnects; and the switches below the scene.
-import { $, client, latest, make, mayCommand, note, onStatus, request, rigAnswer, sendCommand } from "../page/station.js";
+import { $, blockReason, client, enable, latest, make, note, onStatus, request, rigAnswer, sendCommand } from "../page/station.js";
 
 const trueDiameter = make("input", { type: "checkbox", name: "true_diameter" });
 $("switches").querySelector("div").append(make("label", { title: "Draw the tubes at their true diameter instead of magnified" }, trueDiameter, "true diameter"));
@@ -64,13 +64,12 @@ async function refresh() {
     const targetText = `(${position}) mm${direction}`;
     $("target-says").textContent = target.reachable ? `✓ reachable: ${targetText}; the motion takes ${target.duration.toFixed(0)} s` : `✗ ${targetText}: ${target.reason}`;
     $("target-says").title = $("target-says").textContent;
-    const status = latest();
-    $("go").disabled = !target.reachable || status === null || status.state !== "READY" || !mayCommand(status);
+    enable($("go"), target.reachable ? blockReason(latest(), false, ["READY"]) : target.reason);
   } catch {
     return; // the page's header reports that the station does not answer
   }
 }
 // Old data does not disable the switches: on a busy computer they would flicker, and the station checks every change.
-onStatus((status, stale) => { showConnection(stale); for (const box of boxes) box.disabled = !mayCommand(status); });
+onStatus((status, stale) => { showConnection(stale); for (const box of boxes) enable(box, blockReason(status)); });
 (async () => { for (;;) { await refresh(); await new Promise((then) => setTimeout(then, PERIOD_MS)); } })();
 rigAnswer().then((rig) => { document.querySelector("[name=force]").parentElement.hidden = !rig.virtual; });

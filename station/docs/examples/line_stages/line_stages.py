@@ -1,4 +1,4 @@
-"""Example of a custom driver: stages whose box takes lines `v1 v2 v3` by TCP and keeps sending `q1 q2 q3`."""
+"""Example of a custom driver: the stages' controller box receives lines `v1 v2 v3` by TCP and sends `q1 q2 q3`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,6 +11,8 @@ from station.config.strict import Strict, check
 from station.devices.interfaces import Clock, Condition, DeviceFault, JointReading, NotStopped, Severity
 from station.devices.links.link import LinkError, SerialLink, reopen
 
+SILENCE_S = 0.1  # longest time without a line: ten periods of the box
+
 
 class Options(Strict):
     """Keys of `[devices.stages]` in the station file."""
@@ -18,85 +20,85 @@ class Options(Strict):
     host: str
     port: int
 
-    @property
-    def url(self) -> str:
-        return f"socket://{self.host}:{self.port}"
-
 
 class LineStages:
     """Driver of the stages. The control loop polls it, so it never waits, and after `connect` it never raises."""
 
-    def __init__(self, options: Options, joints: int) -> None:
-        self._link = SerialLink(options.url, 9600)  # raises LinkError if the box cannot be reached
-        self._positions, self._sent = np.full(joints, np.nan), np.zeros(joints)
-        self._received, self._problem, self._newest = b"", "", -np.inf
+    def __init__(self, options: Options, robot: RobotFile) -> None:
+        self._link = SerialLink(f"socket://{options.host}:{options.port}", 9600)  # raises LinkError
+        self._speeds = np.array([joint.speed for joint in robot.joints])
+        self._positions, self._sent = np.nan * self._speeds, 0.0 * self._speeds
+        self.condition, self._problem, self._received, self._newest = Condition.CLOSED, "", b"", -np.inf
 
-    @property
-    def condition(self) -> Condition:
-        if self._problem:
-            return Condition.FAULT
-        return Condition.CONNECTED if self.ready else Condition.CONNECTING
+    def connect(self, now: float) -> None:
+        try:
+            if self._problem:
+                reopen(self._link)
+        except LinkError as error:
+            self._fail(str(error))
+        else:
+            self.condition, self._problem, self._received, self._newest = Condition.CONNECTING, "", b"", now
+            self.stop(now)  # after a lost connection the axes may still move
 
     @property
     def ready(self) -> bool:
-        return not self._problem and bool(np.isfinite(self._positions).all())
-
-    def connect(self, now: float) -> None:
-        if self._problem:
-            try:
-                reopen(self._link)
-                self._problem = ""
-            except LinkError as error:
-                self._problem = str(error)
+        return self.condition is Condition.CONNECTED
 
     def home(self, now: float) -> None:
         raise CtrError("these stages have absolute encoders and need no homing")
 
     def poll(self, now: float) -> JointReading:
-        try:
-            self._received += self._link.read()
-            *lines, self._received = self._received.split(b"\n")
-            if lines:
-                self._positions, self._newest = np.array(lines[-1].split(), float), now
-        except (LinkError, ValueError) as error:
-            self._problem = str(error)
+        if self.condition in (Condition.CONNECTING, Condition.CONNECTED):
+            try:
+                *lines, self._received = (self._received + self._link.read()).split(b"\n")
+                if lines:
+                    positions = np.array(lines[-1].split(), float)
+                    if positions.shape != self._speeds.shape or not np.isfinite(positions).all():
+                        raise ValueError(f"the stages sent {lines[-1]!r}")
+                    self._positions, self._newest, self.condition = positions, now, Condition.CONNECTED
+            except (LinkError, ValueError) as error:
+                self._fail(str(error))
+            if now - self._newest > SILENCE_S:
+                self._fail(f"no line for {SILENCE_S:g} s from {self._link.name}")
         return JointReading(self._positions, self._sent)
 
     def command(self, velocities: np.ndarray, now: float) -> None:
-        self._sent = velocities
-        try:
-            self._link.write((" ".join(f"{velocity:.9g}" for velocity in velocities) + "\n").encode())
-        except LinkError as error:
-            self._problem = str(error)
+        if self.ready:
+            valid = np.isfinite(velocities).all()
+            self._send(np.clip(velocities, -self._speeds, self._speeds) if valid else 0.0 * self._speeds)
 
     def stop(self, now: float) -> None:
-        self.command(np.zeros_like(self._sent), now)
+        self._send(0.0 * self._speeds)
+
+    def _send(self, velocities: np.ndarray) -> None:
+        try:
+            self._link.write((" ".join(f"{velocity:.9g}" for velocity in velocities) + "\n").encode())
+            self._sent = velocities
+        except LinkError as error:
+            self.condition, self._problem = Condition.FAULT, str(error)
+
+    def _fail(self, problem: str) -> None:
+        self._send(0.0 * self._speeds)  # a box that cannot send may still receive this stop
+        self.condition, self._problem = Condition.FAULT, problem
 
     def trouble(self, now: float) -> DeviceFault | None:
-        if self._problem or now - self._newest > 0.1:
-            text = "the stages send no positions; are they on?"
-            return DeviceFault(Severity.FAULT, text, self._problem or self._link.name)
-        return None
+        text = "the stages send no positions; are they on?"
+        return DeviceFault(Severity.FAULT, text, self._problem) if self._problem else None
 
     def details(self) -> Mapping[str, Any]:
         return {"port": self._link.name}
 
     def close(self) -> None:
         self._link.close()
-
-
-def open_stages(options: Mapping[str, Any], robot: RobotFile) -> LineStages:
-    """Entry point of the driver: open the stages."""
-    return LineStages(check(Options, options, "devices.stages"), len(robot.joints))
+        self.condition = Condition.CLOSED
 
 
 def emergency_stop(options: Mapping[str, Any], robot: RobotFile, clock: Clock) -> str:
     """Stop every axis; another process calls this after the process with the driver has died."""
-    start = clock.now()
-    link = SerialLink(check(Options, options, "devices.stages").url, 9600)
+    box, start, answer = check(Options, options, "devices.stages"), clock.now(), b""
+    link = SerialLink(f"socket://{box.host}:{box.port}", 9600)
     try:
         link.write(b"stop\n")
-        answer = b""
         while b"stopped" not in answer:
             if clock.now() - start > 2.0:
                 raise NotStopped(f"the stages at {link.name} confirm no stop: press the emergency stop")
@@ -105,6 +107,11 @@ def emergency_stop(options: Mapping[str, Any], robot: RobotFile, clock: Clock) -
     finally:
         link.close()
     return f"{len(robot.joints)} stages at {link.name} report that they have stopped"
+
+
+def open_stages(options: Mapping[str, Any], robot: RobotFile) -> LineStages:
+    """Entry point of the driver: open the stages."""
+    return LineStages(check(Options, options, "devices.stages"), robot)
 
 
 open_stages.emergency_stop = emergency_stop

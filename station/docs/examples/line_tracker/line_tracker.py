@@ -7,9 +7,9 @@ import numpy as np
 
 from station.config.robots import RobotFile
 from station.config.strict import Positive, Strict, check
-from station.devices.aurora.session import FrameClock
 from station.devices.config import Mount
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
+from station.devices.kernel.sampled import SampleClock
 from station.devices.links.link import LinkError, SerialLink, reopen
 
 
@@ -30,7 +30,7 @@ class LineTracker:
         self._options = options
         self._link = SerialLink(f"socket://{options.host}:{options.port}", 9600)  # raises LinkError
         # A line can be late, but never early: the clock finds the time of a frame from its number.
-        self._clock = FrameClock(options.rate)
+        self._clock = SampleClock(options.rate, drift=5e-4, latency=options.latency)
         self._received, self._problem, self._newest, self._malformed = b"", "", -np.inf, 0
 
     @property
@@ -65,12 +65,12 @@ class LineTracker:
             except ValueError:
                 self._malformed += 1
                 continue
-            arrival = self._clock.soonest(frame, now)  # None: a frame number that cannot be
-            if arrival is not None:
+            time = self._clock.measured(frame, now)  # None: the frame number is impossible
+            if time is not None:
                 self._newest = now
                 mount = self._options.mount
                 world = mount.rotation @ (1e-3 * np.array([x, y, z])) + mount.position
-                return TipReading(frame, arrival - self._options.latency, world)
+                return TipReading(frame, time, world)
         return None
 
     def trouble(self, now: float) -> DeviceFault | None:

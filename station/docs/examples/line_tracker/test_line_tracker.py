@@ -9,7 +9,7 @@ import pytest
 
 from station.config.robots import load_robot
 from station.control.clock import REAL_TIME_CLOCK
-from station.devices.driver_check import check_tracker
+from station.devices.driver_check.samples import check_tracker
 from station.devices.interfaces import Condition, Severity, TipReading
 from station.devices.registry import find
 

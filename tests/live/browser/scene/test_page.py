@@ -10,7 +10,7 @@ from playwright.sync_api import FrameLocator, Page, Response, expect
 
 from station.config.palette import CONTACT
 from station.config.robots import load_robot
-from tests.harness.chromium import open_tab, press_until_sent
+from tests.harness.chromium import open_tab
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 from web.scene.cameras import FIELD_OF_VIEW_RAD, camera, extent
@@ -71,34 +71,25 @@ def test_scene_has_a_legend_with_units(page: Page) -> None:
 
 
 def test_running_robot_moves_in_the_scene_and_in_the_status(page: Page, station: Served, picture: Picture) -> None:
-    def noise() -> int:
-        """Return the number of pixels that change while the robot is at rest, by the tracker's noise."""
-        still = pixels(page)
-        page.wait_for_timeout(500)
-        return changed(still, pixels(page))
+    def median() -> np.ndarray:
+        """Return the median of five pictures, which removes the flicker by the noise of tracker and force sensors."""
+        return np.median([pixels(page) for _ in range(5)], axis=0)
 
-    until(lambda: noise() < 200)  # light and fonts of a scene that has just opened change more
+    def tip() -> np.ndarray:
+        return np.array(station.status()["tip_true"])
+
     assert station.post("/api/start", CIRCLE).status_code == 202
     station.wait_for(lambda s: s["phase"] == "moving")
-    before = np.array(station.status()["tip_true"])
-    first = pixels(page)
-    station.wait_for(lambda s: 1e3 * np.linalg.norm(np.array(s["tip_true"]) - before) > 5.0)
-    until(lambda: changed(first, pixels(page)) > 400)
-    assert state(page) == "RUNNING"
     expect(page.locator("#run-left")).to_contain_text("left of 1:00")
+    assert state(page) == "RUNNING"
+    page.wait_for_timeout(2500)  # the camera moves to the motion
+    first, start = pixels(page), tip()
+    until(lambda: 1e3 * np.linalg.norm(tip() - start) > 4.0)
+    moved = changed(first, pixels(page))
     picture(page, "running")
-
-
-def test_stop_in_the_page_header_stops_the_robot_and_reset_makes_it_ready(page: Page, station: Served) -> None:
-    station.post("/api/start", CIRCLE)
-    station.rest.delete("/api/operator")
-    page.locator("#state", has_text="RUNNING").wait_for()
-    page.locator("#stop").click()
+    station.post("/api/stop")
     page.locator("#state", has_text="STOPPED").wait_for()
-    assert station.status()["state"] == "STOPPED"
-    page.locator("#says", has_text="You pressed STOP").wait_for()
-    press_until_sent(page, page.locator("#reset").click, "/api/reset")
-    page.locator("#state", has_text="READY").wait_for()
+    until(lambda: 4 * changed(median(), median()) < moved)
 
 
 def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Page, station: Served) -> None:
@@ -285,6 +276,7 @@ def orange(page: Page) -> int:
 
 
 def test_contact_on_the_shaft_is_marked_and_reported(page: Page, station: Served, picture: Picture) -> None:
+    page.get_by_role("button", name="Frame", exact=True).click()  # an earlier test's path has turned the view
     before = orange(page)
     load = {"kind": "contact", "magnitude": 0.3, "place": 0.1, "direction": [0.0, 1.0, 0.3]}
     station.post("/api/load", {"load": load})

@@ -49,16 +49,3 @@ def test_robot_is_visible_next_to_every_tab_of_the_page_during_a_run(
         page.locator(f"#{name}", has_text=text).wait_for()
         until(lambda: robot(page) > 100)
         picture(page, f"tab_{name}")
-
-
-def test_page_header_in_hold_shows_the_cause_and_the_next_step(page: Page, station: Served, picture: Picture) -> None:
-    assert station.post("/api/start", DEMO).status_code == 202
-    station.wait_for(lambda s: s["phase"] == "moving")
-    station.post("/api/faults", {"faults": [{"kind": "lose_tool", "device": "tracker"}]})
-    page.locator("#state", has_text="HOLD").wait_for()
-    page.locator("#lights .light:not([data-severity='0'])").first.wait_for()
-    page.locator("#says", has_text="tracker").wait_for()
-    page.locator("#next", has_text="Reset").wait_for()
-    picture(page, "hold")
-    station.rest.delete("/api/faults")
-    station.wait_for(lambda s: s["devices"]["tracker"]["severity"] == 0)

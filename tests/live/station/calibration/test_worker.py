@@ -17,8 +17,8 @@ def job(paper, tmp_path: Path) -> CalibrationJob:
     start = np.array([0.0, np.pi / 2.0, -0.1])
     folder = tmp_path / "found"
     return CalibrationJob(
-        "tracker", 0.5, (0.5,), paper, start, GENERATOR_POSE, "a bench", None, True, "2026-01-01", folder, None
-    )
+        "tracker", 0.5, (0.5,), paper, start, GENERATOR_POSE, "a bench", None, True, "2026-01-01", folder, None, 0.0,
+    )  # fmt: skip
 
 
 def listen(worker: WorkerHost) -> None:

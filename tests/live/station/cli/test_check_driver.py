@@ -26,9 +26,9 @@ def test_built_in_drivers_pass(name):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "name a built-in driver, or a station file with --config"),
+        ([], "give either the name of a built-in driver, or a station file with --config"),
         (["nidaq"], "no simulated device has the driver 'nidaq'"),
-        (["zaber", "--config", "a.toml"], "name a built-in driver, or a station file with --config"),
+        (["zaber", "--config", "a.toml"], "give either the name of a built-in driver, or a station file with --config"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments, message):

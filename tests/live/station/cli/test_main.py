@@ -125,7 +125,10 @@ def test_solve_answers_line_by_line_and_ends_with_its_input(command_line):
     assert done.returncode == 0
     assert done.stderr == b""
     assert first == last
-    assert set(first) == {"tip", "direction", "joints", "jacobian", "compliance", "iterations", "stability"}
+    assert set(first) == {
+        "tip", "ends", "direction", "joints", "jacobian", "compliance", "iterations", "stability", "integrator",
+        "sublink",
+    }  # fmt: skip
     assert list(bytes_) == list(bad) == ["error"]
 
 

@@ -151,7 +151,7 @@ def no_tracker(bench: dict[str, Any]) -> str:
 
 def one_port_for_two(bench: dict[str, Any]) -> str:
     bench["tracker"]["port"] = bench["stages"]["port"]
-    return r"devices.tracker: .* which is this one: two devices cannot have one port"
+    return r"devices.tracker: .* this is the present process: two devices cannot use the same port"
 
 
 def exchanged_sensors(bench: dict[str, Any]) -> str:

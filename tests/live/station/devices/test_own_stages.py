@@ -6,11 +6,13 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from tests.harness.calm import CLOCK
-from tests.harness.lone_station import lone_station
+from tests.harness.leftovers import nothing_left_behind
+from tests.harness.lone_station import LoneStation, lone_station
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
 from tests.tools.kill_stations import back
@@ -62,72 +64,82 @@ class Box:
         self.server.close()
 
 
-@pytest.fixture
-def box() -> Iterator[Box]:
-    box = Box()
-    yield box
-    box.close()
+class Rig(NamedTuple):
+    """A station on stages of a custom driver, their box, and the file that sets how their emergency stop fails."""
+
+    station: LoneStation
+    box: Box
+    manner: Path
 
 
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch) -> Path:
-    """Install a distribution with the drivers."""
-    folder = tmp_path / "site" / "my_bench-1.0.dist-info"
+@pytest.fixture(autouse=True, scope="module")
+def nothing_is_left_behind() -> Iterator[None]:
+    """Check that nothing outlives the module: each new control process connects to the box, which starts a thread."""
+    with nothing_left_behind(30.0):
+        yield
+
+
+@pytest.fixture(scope="module")
+def rig(nothing_is_left_behind: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """Install a distribution with the driver, and start a station on its stages."""
+    place = tmp_path_factory.mktemp("own")
+    folder, manner, box = place / "site" / "my_bench-1.0.dist-info", place / "manner", Box()
     folder.mkdir(parents=True)
     (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: my-bench\nVersion: 1.0\n", encoding="utf-8")
-    drivers = ("faulty_stages", "bad_stops")
-    entries = "\n".join(f"{name.replace('_', '-')} = tests.harness.{name}:open_stages" for name in drivers)
-    (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entries}\n", encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "site"), os.environ.get("PYTHONPATH", "")]))
-    return tmp_path
-
-
-def test_station_process_stops_custom_stages_by_their_emergency_stop(box: Box, installed: Path) -> None:
-    stages = {"driver": "faulty-stages", "host": "127.0.0.1", "port": box.port}
-    with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
-
-        def fault() -> str:
-            """Return the cause after the stages have been stopped, and clear the lines that the box received."""
-            status = until(lambda: "have stopped" in (now := station.ask("status"))["cause"] and now)
-            assert f"3 stages at socket://127.0.0.1:{box.port} report that they have stopped" in status["cause"]
-            assert b"stop" in box.lines
-            box.lines.clear()
-            return status["cause"]
-
-        station.child("control").kill()
-        assert fault().startswith("the control process ended by signal 9")
-        back(station)
-        assert station.ask("home")["refused"] == ""
-        assert fault().startswith("driver 'faulty-stages' of devices.stages: poll raised ZeroDivisionError: float div")
-
-
-def test_every_kind_of_failing_emergency_stop_is_reported_and_survived(box: Box, installed: Path) -> None:
-    manner = installed / "manner"
-    manner.write_text("", encoding="utf-8")
+    entry = "[ctr_station.devices]\nbad-stops = tests.harness.bad_stops:open_stages\n"
+    (folder / "entry_points.txt").write_text(entry, encoding="utf-8")
+    manner.write_text("works", encoding="utf-8")
     stages = {"driver": "bad-stops", "host": "127.0.0.1", "port": box.port, "manner": str(manner)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(place / "site"), os.environ.get("PYTHONPATH", "")]))
+        try:
+            with WatchedLab(CLOCK) as lab, lone_station(place / "runs", lab, stages=stages) as station:
+                yield Rig(station, box, manner)
+        finally:
+            box.close()
+
+
+def test_station_process_stops_custom_stages_by_their_emergency_stop(rig: Rig) -> None:
+    station, box = rig.station, rig.box
+
+    def fault() -> str:
+        """Return the cause after the stages have been stopped, and clear the lines that the box received."""
+        status = until(lambda: "have stopped" in (now := station.ask("status"))["cause"] and now)
+        assert f"3 stages at socket://127.0.0.1:{box.port} report that they have stopped" in status["cause"]
+        assert b"stop" in box.lines
+        box.lines.clear()
+        return status["cause"]
+
+    station.child("control").kill()
+    assert fault().startswith("the control process ended by signal 9")
+    back(station)
+    assert station.ask("home")["refused"] == ""
+    assert fault().startswith("driver 'bad-stops' of devices.stages: poll raised ZeroDivisionError: float div")
+
+
+def test_emergency_stop_that_ends_the_interpreter_or_hangs_is_reported_and_survived(rig: Rig) -> None:
     texts = {
-        "hangs": "has not stopped the stages; its attempt is still running after ",
         "raises SystemExit": "SystemExit of driver 'bad-stops'",
         "raises KeyboardInterrupt": "KeyboardInterrupt of driver 'bad-stops'",
-        "returns None": "NoneType instead of a text, no evidence that the stages stop: press the emergency stop",
-        "lies": "driver 'bad-stops' reports: all stages have stopped",
+        "hangs": "has not stopped the stages; its attempt is still running after ",
     }
-    with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
-        for what in ("returns None", "raises SystemExit", "raises KeyboardInterrupt", "lies", "hangs"):
-            manner.write_text(what, encoding="utf-8")
-            assert station.ask("start")["refused"] == ""
-            station.child("control").kill()
-            status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now)
-            assert status["cause"].startswith("the control process ended by signal 9; ")
-            assert texts[what] in station.ask("stop")["note"]
-            until(lambda text=texts[what]: text in station.ask("status")["cause"])
-            if what != "hangs":
-                back(station)
+    station = rig.station
+    for what, text in texts.items():
+        back(station)
+        rig.manner.write_text(what, encoding="utf-8")
+        assert station.ask("start")["refused"] == ""
+        station.child("control").kill()
+        status = until(lambda: (now := station.ask("status"))["state"] == "FAULT" and now)
+        assert status["cause"].startswith("the control process ended by signal 9; ")
+        assert text in station.ask("stop")["note"]
+        until(lambda text=text: text in station.ask("status")["cause"])
 
 
-def test_control_process_without_a_station_ends_although_the_emergency_stop_hangs(box: Box, installed: Path) -> None:
-    stages = {"driver": "bad-stops", "host": "127.0.0.1", "port": box.port, "manner": "hangs"}
-    with WatchedLab(CLOCK) as lab, lone_station(installed / "runs", lab, stages=stages) as station:
-        control = station.child("control")
-        os.kill(station.process.pid, signal.SIGKILL)
-        control.wait(NET)
+def test_control_process_without_a_station_ends_although_the_emergency_stop_hangs(rig: Rig) -> None:
+    """This test is the last one of its station, which it kills."""
+    rig.manner.write_text("works", encoding="utf-8")
+    back(rig.station)
+    rig.manner.write_text("hangs", encoding="utf-8")
+    control = rig.station.child("control")
+    os.kill(rig.station.process.pid, signal.SIGKILL)
+    control.wait(NET)

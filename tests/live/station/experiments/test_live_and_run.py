@@ -1,4 +1,4 @@
-"""A live run and `run` of the same case have the same rows, and the same errors except for noise."""
+"""A live run and `ctr-station run` of the same case have the same rows, and the same errors except for noise."""
 
 import json
 from pathlib import Path

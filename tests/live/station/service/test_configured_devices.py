@@ -10,6 +10,7 @@ import pytest
 from station.control.states import State
 from station.lab.config import LabConfig
 from station.lab.lab_server import LabServer, devices_at
+from station.service.commands import Home
 from station.service.fallback_stop import NO_STAGES
 from station.service.station_file import load_station
 from station.service.supervisor import Supervisor
@@ -35,7 +36,7 @@ def test_station_with_real_devices_waits_for_home(paper, tmp_path: Path):
             status = supervisor.status()
             assert status.state is State.CONNECTED, status.cause
             assert dict(status.values) == {}  # there is no telemetry before the stages are homed
-            supervisor.home()
+            supervisor.send(Home(way_is_clear=True, then_working_pose=False))
             give_up = time.monotonic() + 10.0
             while supervisor.status().state is State.CONNECTED and time.monotonic() < give_up:
                 time.sleep(0.01)

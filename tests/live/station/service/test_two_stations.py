@@ -1,5 +1,6 @@
 """Two stations that share one folder of runs."""
 
+from datetime import datetime
 from pathlib import Path
 
 from station.config.controllers import ControllerFile
@@ -19,11 +20,10 @@ def test_runs_that_two_stations_start_in_the_same_second_have_different_names(pa
         MotionTask(ControllerFile().controller(paper), Orders(HoldMotion(), paper.robot()), 2.0), "hold"
     )
     bench, rings = load_station(None).bench(), [Ring(ring_width(paper)) for _ in range(2)]
-    stations = [Runs(bench, ring, tmp_path) for ring in rings]
+    stations = [Runs(bench, ring, tmp_path, time_of_day=lambda: datetime(2026, 1, 1)) for ring in rings]
     names = []
     try:
         for station in stations:
-            station.session = "20260101-000000"
             station.open()
             run = station.prepare(start)
             station.accepted(run)

@@ -10,15 +10,14 @@ from xml.etree import ElementTree
 import httpx
 import msgspec
 import numpy as np
-import pytest
 import viser
-from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from station.control.task import Phase
 from station.recording.read import read_case
 from tests.harness.calm import CLOCK
 from tests.harness.serving import Served
+from tests.harness.waiting import until
 
 CONTROLLER = {"strategy": "dual_layer", "k1": 2.5, "k2": 2.5, "feedforward": True}
 
@@ -38,36 +37,9 @@ def test_rest_status_has_the_whole_state_of_the_station(station: Served) -> None
     assert status["loop"]["ticks"] > 0
 
 
-@pytest.mark.parametrize(
-    ("query", "origin", "status", "reason"),
-    [
-        ("?rate=200", None, 422, "rate = '200': Input should be less than or equal to 100"),
-        ("?rate=nan", None, 422, "rate = "),
-        ("", "http://evil.example", 403, "requests from pages of 'http://evil.example' are refused"),
-    ],
-)
-def test_a_telemetry_socket_is_refused_by_a_status_with_the_reason(
-    station: Served, query: str, origin: str | None, status: int, reason: str
-) -> None:
-    address = f"ws://127.0.0.1:{station.port}/api/telemetry{query}"
-    with pytest.raises(InvalidStatus) as refused, connect(address, origin=origin, proxy=None):  # pyright: ignore
-        pass
-    assert refused.value.response.status_code == status
-    assert json.loads(refused.value.response.body or b"{}")["error"].startswith(reason)
-
-
-@pytest.mark.parametrize(
-    ("trajectory", "duration", "travel_mm"),
-    [
-        ({"kind": "hold"}, 0.5, 0.0),
-        ({"kind": "sinusoid", "direction": [0, 0, 1], "amplitude": 0.008, "frequency": 0.25}, 1.5, 8.0),
-        ({"kind": "circle", "radius": 0.005, "period": 4.0, "normal": [0, 0, 1]}, 2.5, 10.0),
-    ],
-)
-def test_a_script_runs_each_trajectory_to_its_end(
-    station: Served, trajectory: dict, duration: float, travel_mm: float, tmp_path: Path
-) -> None:
-    answer = station.post("/api/start", {"trajectory": trajectory, "controller": CONTROLLER, "duration": duration})
+def test_a_script_runs_a_trajectory_to_its_end(station: Served, tmp_path: Path) -> None:
+    circle = {"kind": "circle", "radius": 0.005, "period": 4.0, "normal": [0, 0, 1]}
+    answer = station.post("/api/start", {"trajectory": circle, "controller": CONTROLLER, "duration": 2.5})
     assert answer.status_code == 202, answer.text
     run = answer.json()["run_id"]
     status = station.wait_for(lambda s: s["state"] != "RUNNING" and not s["run"]["recording"])
@@ -77,7 +49,7 @@ def test_a_script_runs_each_trajectory_to_its_end(
     recording = read_case(tmp_path / "run.mcap")
     tips = 1e3 * recording.of("tip_true")[recording.of("phase")[:, 0] == Phase.MOVING]
     reached = np.linalg.norm(tips - tips[0], axis=1).max()
-    assert abs(reached - travel_mm) < 1.5
+    assert abs(reached - 10.0) < 1.5
 
 
 def test_only_a_contact_on_the_shaft_is_a_warning_with_its_position(station: Served) -> None:
@@ -122,8 +94,11 @@ def test_a_load_that_changes_too_fast_is_accepted_with_a_warning_of_time_and_lim
     station.wait_for(lambda s: warning in s["warnings"])
     # The warning belongs to the run and disappears when the run ends.
     assert warning not in station.wait_for(lambda s: s["state"] == "READY")["warnings"]
-    slow = station.post("/api/start", body | {"load": {**load, "rise": 60.0}})
-    assert slow.json()["warnings"] == []
+    # Until the force of the removed load has decayed, the next run is refused, because its tare would hide a contact.
+    slow = {"load": {**load, "rise": 60.0}}
+    answers: list[str] = []
+    until(lambda: answers.append(station.post("/api/start", body | slow).text) or '"error"' not in answers[-1], answers)
+    assert json.loads(answers[-1])["warnings"] == []
 
 
 def test_an_experiment_goes_to_its_start_pose_first(station: Served) -> None:
@@ -158,25 +133,20 @@ def test_stop_brings_a_moving_robot_to_rest(station: Served) -> None:
     assert station.status()["state"] == "STOPPED"
 
 
-def test_a_second_start_is_refused_during_a_run(station: Served) -> None:
-    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
-    second = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 20.0})
-    assert second.status_code == 409
-    assert "RUNNING" in second.json()["error"]
-
-
 def test_marks_of_a_run_are_recorded_with_their_time_since_the_motions_start(station: Served) -> None:
     refused = station.post("/api/mark", {"text": "touched"})
     assert refused.status_code == 409
     assert "no run is being recorded" in refused.json()["error"]
-    run = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 4.0}).json()["run_id"]
-    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.25)
+    run = station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 100.0}).json()["run_id"]
+    station.wait_for(lambda s: s["phase"] == "moving" and s["run"]["progress"] > 0.01)
     assert station.post("/api/mark", {"text": "touched the tip"}).status_code == 200
-    station.wait_for(lambda s: s["state"] == "READY" and not s["run"]["recording"])
+    assert station.post("/api/stop").status_code == 200
+    station.wait_for(lambda s: s["state"] == "STOPPED" and not s["run"]["recording"])
     (curve,) = station.rest.get(f"/api/runs/{run}/curves").json().values()
     (mark,) = curve["marks"]
     assert mark["text"] == "touched the tip"
-    assert 1.0 < mark["time"] <= 4.0
+    assert 1.0 < mark["time"] <= 100.0
+    station.ready()
 
 
 def test_stiffness_is_changed_only_in_a_motion_with_a_stiffness(station: Served) -> None:
@@ -214,12 +184,6 @@ def test_trajectory_and_controller_can_be_set_and_read_back(station: Served) -> 
     assert refused.status_code == 422
     assert station.rest.get("/api/controller").json() == controller
     station.rest.put("/api/controller", json=CONTROLLER)
-
-
-def test_experiments_are_listed_with_their_cases(station: Served) -> None:
-    listed = {experiment["name"]: experiment for experiment in station.rest.get("/api/experiments").json()}
-    assert {"fig3", "fig4", "fig6", "fig7", "fig8", "fig10"} <= set(listed)
-    assert [case["name"] for case in listed["fig3"]["cases"]] == ["a", "b", "c", "d", "d_feedforward"]
 
 
 def test_the_solve_request_returns_the_exact_tip_within_the_models_accuracy(station: Served) -> None:
@@ -304,3 +268,25 @@ def test_a_run_continues_without_its_operator(station: Served) -> None:
     # The operator watchdog polls a few times a second, so it has noticed the loss by then.
     time.sleep(2.0)
     assert station.status()["state"] == "RUNNING"
+
+
+def test_a_killed_control_process_is_a_fault_at_once_and_a_reset_starts_a_new_one(station: Served) -> None:
+    killed = station.control_process()
+    killed.kill()
+    status = station.wait_for(lambda s: s["state"] == "FAULT" and s["cause"])
+    assert "signal 9" in status["cause"]
+    station.wait_for(lambda s: s["stale"])
+    stopped = station.post("/api/stop")  # accepted with a message, although no control process can execute it
+    assert stopped.status_code in (200, 202)
+    assert stopped.json()["state"] == "FAULT"
+    assert station.post("/api/start", {"trajectory": {"kind": "hold"}}).status_code == 409
+    assert station.post("/api/reset").json()["state"] == "READY"
+    assert station.control_process().pid != killed.pid
+    assert station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 0.5}).status_code == 202
+    station.wait_for(lambda s: s["state"] == "READY" and s["run"]["id"] != "")
+
+
+def test_forwarding_headers_of_a_client_are_ignored(station: Served) -> None:
+    headers = {"x-forwarded-for": "192.0.2.1", "x-forwarded-proto": "https", "forwarded": "for=192.0.2.1"}
+    assert station.rest.get("/api/status", headers={**headers, "host": "evil.example"}).status_code == 403
+    assert station.rest.get("/api/log?count=1").json()[0]["where"] == "127.0.0.1"

@@ -183,7 +183,7 @@ def test_the_tip_reaches_position_and_direction_of_a_turned_target(ready: Served
 
     lie = rest.put("/api/scene/target", json={"position": begin["position"], "direction": [0, 0, 0]}, headers=operator)
     assert lie.status_code == 422
-    assert "a direction needs a length" in lie.text
+    assert "the length of a direction must be" in lie.text
     far = {"position": begin["position"], "direction": (-told).tolist()}
     assert not rest.put("/api/scene/target", json=far, headers=operator).json()["reachable"]
     assert rest.post("/api/scene/target/go", json={}, headers=operator).status_code == 409

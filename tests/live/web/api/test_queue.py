@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from tests.harness.serving import Served
+from tests.harness.slow_client import SLOW
 from tests.harness.waiting import until
 
 SHORT = {"trajectory": {"kind": "hold"}, "duration": 0.5}
@@ -118,3 +119,32 @@ def test_queue_is_bounded(station: Served) -> None:
     assert refused.status_code == 409
     assert "at most 200" in refused.json()["error"]
     station.post("/api/stop")
+
+
+def test_run_that_is_being_checked_does_not_start_after_it_was_removed(station: Served) -> None:
+    """`tests/virtual/faults/test_queue_in_any_order.py` sends every change of queue and operator during the check."""
+    entry = station.post("/api/queue", SLOW).json()["entries"][0]["id"]
+    polls = iter(range(12))
+    station.wait_for(lambda _: next(polls, None) is None)  # until the queue's thread checks the motion
+    answer = station.rest.delete(f"/api/queue/{entry}")
+    if answer.status_code == 409 or "running" in states(station):
+        pytest.skip("the start had been sent before, on a fast computer")
+    assert answer.status_code == 200, answer.text
+    seen = set[str]()
+    polls = iter(range(150))
+    station.wait_for(lambda status: seen.add(status["state"]) or next(polls, None) is None)
+    assert seen == {"READY"}
+    assert "running" not in states(station)
+
+
+def test_queued_run_that_is_stopped_and_reset_at_once_is_failed(station: Served) -> None:
+    for _ in range(2):
+        move_while_another_run_waits(station)
+        station.post("/api/stop")
+        assert station.post("/api/reset").status_code == 200
+        ended = reached(station, lambda now: now["entries"][0]["state"] != "running")
+        assert [one["state"] for one in ended["entries"]] == ["failed", "waiting"]
+        assert ended["entries"][0]["reason"].startswith("stopped by")
+        assert ended["paused"] != ""
+        station.rest.delete("/api/queue")
+        station.ready()

@@ -1,4 +1,4 @@
-"""Videos of a run: recorded with it, with its time, whole after a kill of camera or station, and shown as MP4."""
+"""A run's videos have the run's time, remain readable after a kill of camera or station, and are shown as MP4."""
 
 import os
 import signal
@@ -31,9 +31,15 @@ CIRCLE = {"trajectory": {"kind": "circle", "radius": 0.006, "period": 8.0}, "dur
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
 
 
-@pytest.fixture
-def running(tmp_path: Path) -> Iterator[Served]:
-    with serving("--data", str(tmp_path), settings=SETTINGS, rate=1.0) as served:
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the data folder of the station."""
+    return tmp_path_factory.mktemp("data")
+
+
+@pytest.fixture(scope="module")
+def running(data: Path) -> Iterator[Served]:
+    with serving("--data", str(data), settings=SETTINGS, rate=1.0) as served:
         until(lambda: not served.rest.get("/api/cameras").json()[0]["problem"])
         yield served
 
@@ -58,14 +64,14 @@ def finished(station: Served, run: str) -> dict[str, Any]:
     return station.rest.get(f"/api/runs/{run}").json()
 
 
-def test_video_has_the_time_of_the_telemetry_and_is_served_as_mp4(station: Served, tmp_path: Path) -> None:
+def test_video_has_the_time_of_the_telemetry_and_is_served_as_mp4(station: Served, data: Path, tmp_path: Path) -> None:
     run = start(station, CIRCLE)
     station.wait_for(lambda status: status["state"] == "RUNNING")
     details = finished(station, run)
     assert details["videos"] == ["side"]
 
-    frames = list(decode_frames(tmp_path / run / "cameras" / "side.mcap"))
-    recording, times = read_case(tmp_path / run / "run.mcap"), row_times(tmp_path / run / "run.mcap")
+    frames = list(decode_frames(data / run / "cameras" / "side.mcap"))
+    recording, times = read_case(data / run / "run.mcap"), row_times(data / run / "run.mcap")
     tips, view = recording.of("tip_true"), view_of(CameraFile())
     assert view is not None
     inside = [(stamp / 1e9, ball_centre(picture)) for stamp, picture in frames if times[0] <= stamp / 1e9 <= times[-1]]
@@ -93,9 +99,9 @@ def test_video_has_the_time_of_the_telemetry_and_is_served_as_mp4(station: Serve
     )  # fmt: skip
 
 
-def test_killed_camera_keeps_its_frames_and_the_next_process_records_on(station: Served, tmp_path: Path) -> None:
+def test_killed_camera_keeps_its_frames_and_the_next_process_records_on(station: Served, data: Path) -> None:
     run = start(station, HOLD)
-    folder = tmp_path / f"{run}.partial" / "cameras"
+    folder = data / f"{run}.partial" / "cameras"
     until(lambda: (folder / "side.mcap.partial").is_file() and (folder / "side.mcap.partial").stat().st_size > 40_000)
     (camera,) = children(station.process.pid, "ctr-camera")
     os.kill(camera.pid, signal.SIGKILL)
@@ -105,21 +111,22 @@ def test_killed_camera_keeps_its_frames_and_the_next_process_records_on(station:
     station.post("/api/stop")
     assert finished(station, run)["label"] == "stopped"
 
-    until(lambda: (tmp_path / run / "cameras" / "side-2.mcap").is_file())
-    recover(tmp_path)  # as the next start does
+    until(lambda: (data / run / "cameras" / "side-2.mcap").is_file())
+    recover(data)  # as the next start does
     for name in ("side", "side-2"):
-        assert len(list(decode_frames(tmp_path / run / "cameras" / f"{name}.mcap"))) > 10
+        assert len(list(decode_frames(data / run / "cameras" / f"{name}.mcap"))) > 10
 
 
-def test_killed_station_leaves_a_whole_video(station: Served, tmp_path: Path) -> None:
+def test_killed_station_leaves_a_whole_video(station: Served, data: Path) -> None:
+    """This test is the last one of its station, which it kills."""
     run = start(station, HOLD)
-    partial = tmp_path / f"{run}.partial" / "cameras" / "side.mcap.partial"
+    partial = data / f"{run}.partial" / "cameras" / "side.mcap.partial"
     until(lambda: partial.is_file() and partial.stat().st_size > 40_000)
     processes = psutil.Process(station.process.pid).children()
     station.process.kill()
     station.process.wait()
     psutil.wait_procs(processes, 60.0)
 
-    until(lambda: recover(tmp_path) or (tmp_path / run).is_dir())
-    frames = list(decode_frames(tmp_path / run / "cameras" / "side.mcap"))
+    until(lambda: recover(data) or (data / run).is_dir())
+    frames = list(decode_frames(data / run / "cameras" / "side.mcap"))
     assert len(frames) > 10

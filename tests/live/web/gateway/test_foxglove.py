@@ -26,6 +26,7 @@ from tests.harness.gateway import ANY, MEASURED, PAPER, Running, gateway
 from tests.harness.root import ROOT
 from web.access.identity import Tokens
 from web.gateway.options import GatewayOptions, ListenAddress
+from web.gateway.process import GatewayNote
 from web.gateway.snapshot import StationInfo
 
 #: Folder in which `npm install @foxglove/ws-protocol ws` has installed the packages.
@@ -178,6 +179,19 @@ def test_the_foxglove_server_refuses_foreign_pages_hosts_and_protocols(running: 
     with pytest.raises(InvalidStatus):
         connect(address, proxy=None)
     assert httpx.get(f"http://127.0.0.1:{running.port}/").status_code == 426
+
+
+def test_a_configured_origin_may_connect_and_a_refusal_names_the_key() -> None:
+    with gateway(GatewayOptions(foxglove=ANY, origins=("http://localhost:8080",))) as running:
+        address = f"ws://127.0.0.1:{running.port}/"
+        with connect(address, subprotocols=SPOKEN, origin="http://localhost:8080", proxy=None) as client:
+            assert _text(client)["op"] == "serverInfo"
+        assert _refused(address, origin="http://localhost:8081") == 403
+        assert running.pipe.poll(30.0)
+        note = running.pipe.recv()
+        assert isinstance(note, GatewayNote)
+        assert "'http://localhost:8081'" in note.text
+        assert "gateway_origins" in note.text
 
 
 def test_foxglove_clients_without_a_required_token_are_refused() -> None:

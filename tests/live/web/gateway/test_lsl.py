@@ -1,4 +1,4 @@
-"""Reception by LSL's library (liblsl, C++) through pylsl's inlet; the sender uses the same library."""
+"""The library liblsl receives the streams, through pylsl's inlet; the sender uses the same library."""
 
 import time
 

@@ -1,6 +1,7 @@
 """The gateway of a live station: targets move the tip only in a run started for them."""
 
 import json
+import socket
 import time
 from collections.abc import Iterator
 
@@ -15,6 +16,7 @@ from websockets.sync.client import connect
 from core.robot.robot import Array
 from tests.harness.gateway_clients import igtl_client
 from tests.harness.serving import Served, serving
+from web.gateway.igtl import MAX_CLIENTS
 
 WIDE = {"silence": 2.0, "end": 5.0}  # the station's clock is slow and the computer busy
 UP = np.array([0.0, 0.0, 1.0])
@@ -84,6 +86,26 @@ def test_foxglove_beyond_loopback_requires_a_token_and_receives_the_gains(served
         told = {each["name"]: each["value"] for each in json.loads(client.recv())["parameters"]}
     controller = served.rest.get("/api/controller").json()
     assert told == {f"controller.{key}": controller[key] for key in ("k1", "strategy")}
+
+
+def test_openigtlink_refuses_a_client_beyond_the_limit_with_the_reason(served: Served) -> None:
+    (line,) = [line for line in served.said.read_text().splitlines() if line.startswith("OpenIGTLink is at")]
+    address = ("127.0.0.1", int(line.rpartition(":")[2]))
+    clients = [socket.create_connection(address) for _ in range(MAX_CLIENTS)]
+    try:
+        for client in clients:
+            client.settimeout(60.0)
+            assert client.recv(1)  # the station serves the client
+        with socket.create_connection(address) as late:
+            late.settimeout(60.0)
+            said = b""
+            while more := late.recv(4096):
+                said += more
+        assert said[2:8] == b"STATUS"
+        assert f"{MAX_CLIENTS} clients are connected, the limit is {MAX_CLIENTS}".encode() in said
+    finally:
+        for client in clients:
+            client.close()
 
 
 def test_the_loop_and_the_page_continue_when_the_gateway_is_killed(served: Served) -> None:

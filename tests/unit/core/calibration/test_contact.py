@@ -34,15 +34,24 @@ def cases(count):
 
 def test_contacts_are_located_within_millimetres_and_inside_their_intervals(paper_robot):
     errors, inside = [], 0
-    for seed, joints, force, s in cases(30):
+    for seed, joints, force, s in cases(12):
         found = locate_contact(Statics(paper_robot), joints, felt(paper_robot, joints, force, s, seed), NOISE)
         inside += any(start - 0.5e-3 <= s <= end + 0.5e-3 for start, end in found.intervals)
         if found.located:
             errors.append(abs(found.arc_length - s))
-    assert len(errors) >= 25
+    assert len(errors) >= 10
     assert np.median(errors) < 3e-3
     assert max(errors) < 20e-3
-    assert inside >= 27
+    assert inside >= 11
+
+
+@pytest.mark.parametrize("s", [0.06, 0.12, 0.15])
+def test_contact_on_the_outer_tube_beyond_a_retracted_tip_is_located(paper_robot, s):
+    joints, force = np.array([0.3, 1.8, -0.2]), np.array([0.2, 0.2, 0.0])
+    assert paper_robot.tube_ends(joints) == pytest.approx([0.103, 0.165])
+    found = locate_contact(Statics(paper_robot), joints, felt(paper_robot, joints, force, s), NOISE)
+    assert found.located
+    assert found.arc_length == pytest.approx(s, abs=4e-3)
 
 
 def test_the_contact_point_is_on_the_loaded_shaft(paper_robot):
@@ -77,10 +86,10 @@ def test_a_force_below_the_threshold_gives_no_contact(paper_robot):
 
 def test_the_tip_load_test_accepts_tip_loads_and_rejects_shaft_loads(paper_robot):
     model, flagged, kept = Statics(paper_robot), 0, 0
-    for seed, joints, force, s in cases(30):
+    for seed, joints, force, s in cases(12):
         tip = model.solve(joints, np.r_[force, np.zeros(3)]).tip
         kept += evaluate_tip_load(felt(paper_robot, joints, force, None, seed), tip, NOISE).accepted
         tip = model.solve(joints, np.r_[force, np.zeros(3)], contact=0.5 * s).tip
         flagged += not evaluate_tip_load(felt(paper_robot, joints, force, 0.5 * s, seed), tip, NOISE).accepted
-    assert kept == 30
-    assert flagged >= 28
+    assert kept == 12
+    assert flagged >= 11

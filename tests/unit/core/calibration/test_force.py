@@ -1,5 +1,7 @@
 """The sensor calibration recovers the parameters of simulated sensors (independent implementation)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -113,3 +115,30 @@ def test_a_sensor_calibration_without_rotation_is_refused_and_the_joint_is_named
 def test_a_sensor_calibration_with_too_few_unloaded_poses_is_refused(paper_robot, bench):
     with pytest.raises(UnobservableCombination, match="5 measurements without load"):
         calibrate_sensors(paper_robot, bench[0][:5], bench[1][:5], NOISE, 0.05e-3)
+
+
+def test_force_sensor_under_the_robot_is_calibrated_with_the_weights_of_the_tubes(paper_robot):
+    random, measurements, tips = np.random.default_rng(3), [], []
+    one, model = replace(paper_robot, sensed="robot"), Statics(paper_robot)
+    offset, mounting = random.uniform(-1.0, 1.0, 6) * np.repeat([1.0, 0.01], 3), MOUNTING[0].inv()
+    for k in range(60):
+        joints = np.r_[random.uniform(-3.0, 3.0, 2), random.uniform(-0.12, -0.01)]
+        force = (0.0, 0.5, 0.25, 0.0)[k // 15] * DOWN
+        tip = model.solve(joints, np.r_[force, np.zeros(3)]).tip
+        total, moment = force.copy(), np.cross(tip, force)
+        for i, (alpha, beta) in enumerate(zip(joints[1::-1], (joints[2], 0.0), strict=True)):
+            centre = Rotation.from_euler("z", alpha).apply(PLACE[i]) + np.array([0.0, 0.0, beta])
+            total, moment = total + WEIGHT[i] * DOWN, moment + np.cross(centre, WEIGHT[i] * DOWN)
+        noise = np.repeat([1e-3, 0.02e-3], 3) * random.standard_normal(6)
+        said = np.r_[mounting.apply(total), mounting.apply(moment)] + offset + noise
+        measurements.append(Measurement(10.0 * k, joints, np.zeros(3), said[None], float(force[0])))
+        tips.append(tip)
+
+    found = calibrate_sensors(one, measurements, np.array(tips), NOISE, 0.05e-3)
+
+    assert found.sensors.mounting.shape == (1, 3, 3)
+    away = Rotation.from_matrix(found.sensors.mounting[0]) * MOUNTING[0].inv()
+    assert np.degrees(away.magnitude()) < 0.3
+    assert found.sensors.weight[0] == pytest.approx(WEIGHT[0], abs=2e-3)  # the tube that slides
+    errors = np.array([found.load(one, v).force - v.weight * DOWN for v in measurements])
+    assert np.sqrt(np.mean(errors**2, axis=0)).max() < 2.5e-3

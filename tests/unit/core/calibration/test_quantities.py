@@ -8,9 +8,10 @@ import pytest
 from core.calibration.quantities import Quantity, quantities, with_changes
 from core.errors import DescriptionError
 from core.model.statics import Statics
+from core.robot.robot import Section
 
 
-def test_quantities_of_the_paper_s_robot_are_listed(paper_robot):
+def test_quantities_to_find_are_listed(paper_robot, three_tubes):
     names = [quantity.parameter(paper_robot).name for quantity in quantities(paper_robot)]
 
     assert names == [
@@ -18,6 +19,8 @@ def test_quantities_of_the_paper_s_robot_are_listed(paper_robot):
         "inner zero_angle",
         "outer bending_stiffness", "outer curvature", "outer poisson_ratio", "outer end",
     ]  # fmt: skip
+    for kind in ("zero_angle", "straight_length"):
+        assert [quantity.tube for quantity in quantities(three_tubes) if quantity.kind == kind] == [0, 1]
 
 
 def test_each_calibrated_quantity_changes_only_its_own_tube_parameter(paper_robot):
@@ -59,14 +62,5 @@ def test_longer_straight_parts_of_all_tubes_are_equivalent_to_a_shift_along_z(pa
 
 
 def test_a_straight_length_of_a_tube_without_straight_part_is_refused(one_tube):
-    from core.robot.robot import Section
-
     with pytest.raises(DescriptionError, match="no straight part"):
         with_changes(one_tube(Section(0.1, (3.0, 0.0))), [Quantity(0, "straight_length")], np.array([1e-3]))
-
-
-def test_three_tubes_have_two_zero_angles_and_two_straight_lengths_to_find(three_tubes):
-    found = quantities(three_tubes)
-
-    assert [quantity.tube for quantity in found if quantity.kind == "zero_angle"] == [0, 1]
-    assert [quantity.tube for quantity in found if quantity.kind == "straight_length"] == [0, 1]

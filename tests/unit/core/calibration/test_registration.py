@@ -29,27 +29,13 @@ def test_frames_are_recovered_with_a_coil_of_three_five_and_six_degrees_of_freed
     assert found.held_out.mean() < 0.08e-3
 
 
-def test_registration_errors_match_the_covariance(paper_robot):
-    inside = 0
-    for seed in range(8):
-        measurements = seen(paper_robot, poses(seed, 16), seed=seed)
-        found = register(paper_robot, measurements, np.zeros((16, 3)), NOISE)
-        centre = np.array([0.0, 0.0, 0.2])
-        error = np.linalg.norm(found.frames.registration.apply(TRACKER.inverse().apply(centre)) - centre)
-        inside += error < 2.5 * found.error_at(centre[None, :])[0]
-    assert inside >= 7
-
-
 def test_the_registration_accounts_for_a_load(paper_robot):
     force = np.array([0.4, 0.1, 0.0])
     measurements = seen(paper_robot, poses(1, 20), force)
 
-    assert (
-        far(
-            register(paper_robot, measurements, np.tile(force, (20, 1)), NOISE._replace(force=1e-6)).frames.registration
-        )
-        < 0.05e-3
-    )
+    found = register(paper_robot, measurements, np.tile(force, (20, 1)), NOISE._replace(force=1e-6))
+
+    assert far(found.frames.registration) < 0.05e-3
 
 
 def test_wrong_tube_parameters_increase_residuals_and_covariance(paper_robot):
@@ -62,21 +48,13 @@ def test_wrong_tube_parameters_increase_residuals_and_covariance(paper_robot):
     assert found.held_out.mean() > 0.3e-3
 
 
-def test_a_robot_that_only_slides_cannot_be_registered_and_the_missing_turn_is_named(paper_robot, paper_limits):
+def test_a_robot_that_only_slides_is_refused_and_the_named_turn_is_sufficient(paper_robot, paper_limits):
     joints = np.tile([0.0, 1.5, -0.1], (12, 1))
     joints[:, 2] = np.linspace(-0.12, -0.02, 12)
-
     with pytest.raises(
         UnobservableCombination,
         match=r"not determine .*: turn (outer|inner)_rotation by \d+ deg in both directions \(it turned 0\.0 deg",
-    ):
-        register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
-
-
-def test_the_motion_suggested_for_a_registration_is_sufficient(paper_robot, paper_limits):
-    joints = np.tile([0.0, 1.5, -0.1], (12, 1))
-    joints[:, 2] = np.linspace(-0.12, -0.02, 12)
-    with pytest.raises(UnobservableCombination) as refusal:
+    ) as refusal:
         register(paper_robot, seen(paper_robot, joints), np.zeros((12, 3)), NOISE, paper_limits)
     name, amount = str(refusal.value).split(": turn ")[1].split(" by ")
     turn = np.radians(float(amount.split()[0]))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from core.control.controllers import INNER_LOOPS, STRATEGIES, LoopInputs, PositionMode, VelocityMode, strategy
+from core.control.controllers import INNER_LOOPS, LoopInputs, VelocityMode, strategy
 from core.control.trajectories import Setpoint
 from core.errors import DescriptionError
 from core.model.statics import Statics
@@ -109,34 +109,6 @@ def test_dual_layer_is_equation_30_with_a_separate_gain_per_term():
 
     assert strategy("dual_layer", 2.0, 3.0).outer.tip_velocity(setpoint, tip).tolist() == [2.5, -2.0, 6.0]
     assert strategy("dual_layer", 2.0, 3.0, True).outer.tip_velocity(setpoint, tip).tolist() == [3.0, -2.0, 6.0]
-
-
-@pytest.mark.parametrize("k", [1.0, 2.5])
-def test_tip_with_equal_gains_follows_the_setpoint_with_a_first_order_lag(k):
-    """With K1 = K2 = k, eq. (31) gives the transfer function k / (k + s) from the setpoint to the tip.
-
-    The response to a unit step is 1 - exp(-k t). The gain of a sinusoid with angular frequency w is k / (k + jw).
-    """
-    outer, dt = PositionMode(k, k), 1e-4
-    tip, frequency = np.zeros(3), 2.0 * math.pi * 0.05
-    for number in range(round(60.0 / dt)):
-        time = number * dt
-        desired = np.array([1.0, math.sin(frequency * time), 0.0])
-        tip = tip + dt * outer.tip_velocity(Setpoint(desired, np.zeros(3)), tip)
-        if number == round(1.0 / k / dt):
-            assert tip[0] == pytest.approx(1.0 - math.exp(-1.0), abs=1e-3)
-    gain = k / complex(k, frequency)
-    assert tip[1] == pytest.approx((gain * np.exp(1j * frequency * 60.0)).imag, abs=1e-3)
-
-
-@pytest.mark.parametrize("inner", INNER_LOOPS)
-@pytest.mark.parametrize("name", ["inner_loop", "dual_layer"])
-def test_strategy_uses_the_inner_loop_of_the_given_name(name, inner):
-    assert strategy(name, inner=inner).inner is INNER_LOOPS[inner]
-
-
-def test_every_strategy_of_the_paper_is_available():
-    assert list(STRATEGIES) == ["unloaded_jacobian", "loaded_jacobian", "inner_loop", "dual_layer"]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from core.control.trajectories import Setpoint
 from core.errors import ContractError, CtrError, DescriptionError, NotFinite
 from core.robot.limits import Configuration, Limits, Workspace
 from core.robot.robot import Array
-from tests.unit.core.control.test_step import POSE, Plant, controller
+from tests.unit.core.control.test_step import POSE, controller, plant_of
 
 ORDER = Setpoint(np.array([1e-3, -2e-3, 3e-3]), np.array([2e-3, 0.0, 1e-3]))
 GAINS = PositionMode(2.5, 2.5)
@@ -50,7 +50,7 @@ Bench = tuple[Controller, ControllerState, Sample]
 
 @pytest.fixture(scope="module")
 def bench(paper_robot) -> Bench:
-    unit, plant = controller(paper_robot), Plant(paper_robot)
+    unit, plant = controller(paper_robot), plant_of(paper_robot)
     sample = plant.sample()
     return unit, start_controller(unit, sample), sample
 
@@ -78,7 +78,7 @@ ANYTHING = st.one_of(
     st.lists(st.lists(st.floats(), max_size=3), max_size=3), st.tuples(st.floats(), st.floats()),
 )  # fmt: skip
 THOROUGHLY = settings(
-    max_examples=100, deadline=None,
+    max_examples=25, deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large],
 )  # fmt: skip
 
@@ -149,9 +149,19 @@ def test_custom_inner_loop_moves_the_robot_as_computed_or_is_refused_by_name(ben
         as_computed(found, *sides, bench)
 
 
-def test_custom_loop_that_returns_a_scalar_velocity_is_refused_with_its_shape(bench: Bench) -> None:
-    with pytest.raises(ContractError, match=r"inner loop '<lambda>': the velocity has shape \(\) and type float64"):
-        tick(bench, GAINS, lambda u, view: inner_of(VelocityTask(view.loaded.jacobian[:3], 0.01))(u, view))
+@pytest.mark.parametrize(
+    ("outer", "inner", "words"),
+    [
+        (Outer(np.zeros(2)), type_2, r"outer loop 'Outer': U_int has shape \(2,\)"),
+        (Outer(KeyError("gain")), type_2, "outer loop 'Outer' raised KeyError: 'gain'"),
+        (GAINS, inner_of((np.ones((3, 3)), 0.01)), r"inner loop 'inner': the velocity has shape \(\) and type float64"),
+    ],
+)
+def test_refusal_of_a_custom_loop_has_its_name_and_the_shape_or_the_exception(
+    bench: Bench, outer: Any, inner: Any, words: str
+) -> None:
+    with pytest.raises(ContractError, match=words):
+        tick(bench, outer, inner)
 
 
 def test_transposed_jacobian_of_a_robot_with_more_joints_is_refused(three_tubes_controller) -> None:
@@ -171,22 +181,12 @@ def three_tubes_controller() -> tuple[Controller, np.ndarray]:
     return DEFAULT_CONTROLLER.controller(robot), named_pose(robot.working_pose, robot, "working_pose")
 
 
-def test_outer_loop_of_two_numbers_never_reaches_compiled_code(bench: Bench) -> None:
-    with pytest.raises(ContractError, match=r"outer loop 'Outer': U_int has shape \(2,\)"):
-        tick(bench, Outer(np.zeros(2)), type_2)
-
-
 def test_custom_loops_are_refused_before_anything_moves(bench: Bench) -> None:
     unit = bench[0]
     for wrong in (Strategy(Outer(0.01), type_2), Strategy(GAINS, lambda u, view: (view.loaded.jacobian, u))):
         with pytest.raises(ContractError, match="has shape"):
             replace(unit, strategy=wrong).check_loops(POSE)
     replace(unit, strategy=Strategy(Outer(U_INT), type_2)).check_loops(POSE)
-
-
-def test_exception_in_a_custom_loop_names_the_loop(bench: Bench) -> None:
-    with pytest.raises(ContractError, match="outer loop 'Outer' raised KeyError: 'gain'"):
-        tick(bench, Outer(KeyError("gain")), type_2)
 
 
 def test_subclass_of_a_built_in_loop_is_not_replaced_by_the_compiled_loop(bench: Bench) -> None:

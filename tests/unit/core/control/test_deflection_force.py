@@ -1,4 +1,4 @@
-"""The force from the deflection, against the exact rod."""
+"""The force from the deflection is compared with the exact rod."""
 
 import math
 
@@ -34,7 +34,7 @@ def settled(tip: Array, frames: int = 30) -> DeflectionForce:
     """Return the estimate after some frames with the tip at `tip` (3,) [m], from a reference with the bias."""
     found, state = start_deflection(FREE, BIAS), observed(tip)
     for _ in range(frames):
-        found = update_deflection(MODEL, found, JOINTS, FREE, state)
+        found = update_deflection(MODEL, found, JOINTS, FREE, state, np.zeros(3))
     return found
 
 
@@ -75,7 +75,7 @@ def test_one_frame_changes_the_force_by_a_bounded_step():
 
 def test_a_model_without_a_shape_gives_an_unknown_force_and_no_error():
     start = start_deflection(FREE, BIAS)._replace(force=np.array([1e6, 0.0, 0.0]))
-    found = update_deflection(MODEL, start, JOINTS, FREE, observed(FREE.tip))
+    found = update_deflection(MODEL, start, JOINTS, FREE, observed(FREE.tip), np.zeros(3))
     assert not found.force.any()
     np.testing.assert_allclose(covariance(found), LARGEST_FORCE_N**2 * np.eye(3))
 
@@ -83,7 +83,7 @@ def test_a_model_without_a_shape_gives_an_unknown_force_and_no_error():
 def test_uncertain_tubes_widen_the_interval_with_the_deflection():
     bent = FREE.tip + BIAS + np.array([0.010, 0.0, 0.0])
     start, state = start_deflection(FREE, BIAS), observed(bent)
-    known, unknown = (update_deflection(MODEL, start, JOINTS, FREE, state, error) for error in (0.0, 0.05))
+    known, unknown = (update_deflection(MODEL, start, JOINTS, FREE, state, np.zeros(3), error) for error in (0.0, 0.05))
     ratio = np.linalg.eigvalsh(covariance(unknown))[0] / np.linalg.eigvalsh(covariance(known))[0]
     errors = state.covariance[0] + 0.2e-3**2
     assert ratio == pytest.approx((errors + (0.05 * 0.010) ** 2) / errors, rel=1e-2)

@@ -16,15 +16,6 @@ from station.config.robots import load_robot
 PERIOD = 0.002
 
 
-def test_planned_joint_travel_is_zero_at_rest():
-    actuation = Actuation(PERIOD)
-
-    motion = actuation.update(actuation.start(3), np.zeros(3))
-
-    assert not motion.velocity.any()
-    assert not motion.ahead.any()
-
-
 def test_planned_travel_at_constant_velocity_covers_the_whole_lead_time():
     actuation, sent = Actuation(PERIOD, command_interval=0.025, transport_delay=0.012), np.array([0.1, -0.2, 0.003])
     motion = actuation.start(3)
@@ -36,11 +27,12 @@ def test_planned_travel_at_constant_velocity_covers_the_whole_lead_time():
     np.testing.assert_allclose(motion.velocity, sent)
 
 
-def test_planned_joint_position_equals_that_of_simulated_delayed_stages():
+@pytest.mark.parametrize("delay", [0, 6])
+def test_planned_joint_position_equals_that_of_simulated_delayed_stages(delay):
     """In any sequence of velocities, each velocity moves the joint after the transport delay."""
     random = np.random.default_rng(3)
-    actuation = Actuation(PERIOD, command_interval=0.0, transport_delay=0.012)
-    delay = 6
+    actuation = Actuation(PERIOD, command_interval=0.0, transport_delay=delay * PERIOD)
+    assert actuation.lead_time == pytest.approx(delay * PERIOD)
     sent = random.normal(size=(60, 2))
     motion, position, positions, plans = actuation.start(2), np.zeros(2), [], []
     for tick in range(60):
@@ -57,16 +49,6 @@ def test_planned_joint_position_equals_that_of_simulated_delayed_stages():
         np.testing.assert_allclose(plans[tick], positions[tick + delay], rtol=0, atol=1e-12)
 
 
-def test_planned_joints_move_at_once_when_the_stages_have_no_delay():
-    actuation = Actuation(PERIOD, 0.0, 0.0)
-
-    motion = actuation.update(actuation.start(1), np.array([0.5]))
-
-    assert motion.velocity.tolist() == [0.5]
-    assert motion.ahead.tolist() == [0.0]
-    assert actuation.lead_time == 0.0
-
-
 @pytest.mark.parametrize("bad", [-0.001, 1.5, math.nan])
 def test_command_delay_outside_its_bounds_is_refused(bad):
     with pytest.raises(DescriptionError, match=rf"command_interval {bad:g} s is outside 0 \.\.\. 1 s"):
@@ -75,8 +57,11 @@ def test_command_delay_outside_its_bounds_is_refused(bad):
         Actuation(PERIOD, transport_delay=bad)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi])
-def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in_step(phase: float) -> None:
+def smoothing_distances(phase: float, seconds: float) -> tuple[float, float]:
+    """Return the largest distances of the smoothed force from the force in the first and in the second half [N].
+
+    The force and the bandwidth of its filter change in step, with a phase between them [rad].
+    """
     statics = Statics(load_robot("paper").robot())
     free = statics.solve(np.array([0.0, 0.5 * math.pi, -0.1]), np.zeros(6))
     loaded = statics.solve(free.joints, pure_force(np.array([0.05, 0.0, 0.0])), free)
@@ -85,7 +70,7 @@ def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in
     )
     now = estimator.start(loaded, free, np.array([0.05, 0.0, 0.0]), loaded.tip)
     period, distances = 2.0, []
-    for tick in range(round(300.0 / PERIOD)):
+    for tick in range(round(seconds / PERIOD)):
         angle = 2.0 * math.pi * tick * PERIOD / period
         force = np.array([0.05 + 0.02 * math.sin(angle), 0.0, 0.0])
         numbers = now.numbers.copy()
@@ -99,5 +84,10 @@ def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in
         distances.append(float(np.linalg.norm(now.known.force_smooth - now.known.force_filtered)))
     np.testing.assert_array_equal(now.force, now.known.load[FORCE])
     first, second = np.array_split(distances, 2)
-    assert 0.0 < first.max() < 0.3
-    assert second.max() < 1.02 * first.max()
+    return float(first.max()), float(second.max())
+
+
+def test_smoothed_force_stays_near_the_force_while_bandwidth_and_force_change_in_step() -> None:
+    """The distance approaches 0.27 N within minutes; `tests/thorough` checks that it then stays."""
+    first, second = smoothing_distances(0.5 * math.pi, 60.0)
+    assert 0.0 < first < second < 0.25

@@ -1,4 +1,4 @@
-"""Null-space objective: redundant joints move away from edges without changing the task."""
+"""Null-space objective: redundant joints move away from their bounds without changing the task."""
 
 from dataclasses import replace
 
@@ -61,13 +61,9 @@ def test_stability_gradient_is_correct_after_a_trial_solve_of_every_joint(solved
         assert slope.values[k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.1, abs=2e-3)
 
 
-def test_null_space_objective_without_a_stability_weight_makes_no_trial_solve(solved):
+def test_null_space_objective_without_a_stability_weight_or_far_from_the_edge_makes_no_trial_solve(solved):
     model, now = solved
     assert not NullSpaceObjective({"limits": 1.0}).updated_gradient(model, LIMITS, now, None).values.any()
-
-
-def test_null_space_objective_far_from_the_stability_edge_makes_no_trial_solve(solved):
-    model, now = solved
     assert now.stability > STABILITY_SCALE
     slope = StabilityGradient(np.ones(6), 2)
     assert NullSpaceObjective({"stability": 1.0}).updated_gradient(model, LIMITS, now, slope) is slope
@@ -143,12 +139,9 @@ def test_joint_velocity_from_one_side_of_a_kink_is_valid_on_the_other_side(solve
     assert np.abs(rows @ resisting - desired).max() < 0.1 * np.abs(rows @ plain - desired).max()
 
 
-def test_distant_kink_does_not_resist_any_joint_motion():
+def test_distant_kink_resists_no_motion_and_tubes_of_one_section_have_no_kinks():
     joints = at_kink("inner_translation", "middle_translation", -1.01 * KINK_DISTANCE_M)
     assert not NullSpaceObjective({}).objective(LIMITS, KINKS, joints, 1.0, STILL).resisted[0].any()
-
-
-def test_a_robot_whose_tubes_have_one_section_each_has_no_kinks():
     robot = FILE.robot()
     bent = tuple(replace(tube, sections=tube.sections[-1:]) for tube in robot.tubes)
     assert kinks_of(replace(robot, tubes=bent)).rows.shape == (0, 6)

@@ -1,4 +1,4 @@
-"""A palpation visits its places in order, and its stiffness is that of springs with known forces and travels."""
+"""A palpation visits its positions in order, and finds the stiffness of springs with known forces and travels."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,9 @@ def on_springs(times: np.ndarray, springs: np.ndarray = SPRINGS) -> tuple[np.nda
     return force, np.where(since < 4.0, 0.0, SURFACE + force / springs[visit])
 
 
-def test_stiffness_is_that_of_the_spring_at_each_place():
-    found = PALPATION.stiffness(TIMES, on_springs(TIMES)[0], FRAMES, on_springs(FRAMES)[1])
-
-    assert found == pytest.approx(SPRINGS)
-
-
-def test_constant_errors_of_force_and_position_cancel():
-    force, tip = on_springs(TIMES)[0] + 0.01, on_springs(FRAMES)[1] - 0.004
+@pytest.mark.parametrize(("force_error", "tip_error"), [(0.0, 0.0), (0.01, -0.004)])
+def test_stiffness_is_that_of_the_spring_at_each_place_and_constant_errors_cancel(force_error, tip_error):
+    force, tip = on_springs(TIMES)[0] + force_error, on_springs(FRAMES)[1] + tip_error
 
     assert PALPATION.stiffness(TIMES, force, FRAMES, tip) == pytest.approx(SPRINGS)
 
@@ -45,29 +40,22 @@ def test_only_the_second_half_of_the_time_for_a_force_counts():
     assert PALPATION.stiffness(TIMES, force, FRAMES, tip) == pytest.approx(SPRINGS)
 
 
-def test_place_without_contact_has_no_estimate():
-    force = on_springs(TIMES)[0]
-    force[(TIMES >= 10.0) & (TIMES < 20.0)] = 0.001
+@pytest.mark.parametrize(
+    ("end", "weak", "springs", "unknown"),
+    [
+        (30.0, (10.0, 20.0), SPRINGS, [False, True, False]),  # a place without contact
+        (30.0, (0.0, 0.0), [100.0, 1e4, 400.0], [False, True, False]),  # 0.15 N / 1e4 N/m = 0.015 mm is too small
+        (12.0, (0.0, 0.0), SPRINGS, [False, True, True]),  # places after the end of the run
+    ],
+)
+def test_place_without_a_measurable_travel_has_no_estimate(end, weak, springs, unknown):
+    times, frames = TIMES[end > TIMES], FRAMES[end > FRAMES]
+    force = on_springs(times)[0]
+    force[(times >= weak[0]) & (times < weak[1])] = 0.001
 
-    found = PALPATION.stiffness(TIMES, force, FRAMES, on_springs(FRAMES)[1])
+    found = PALPATION.stiffness(times, force, frames, on_springs(frames, np.array(springs))[1])
 
-    assert np.isnan(found).tolist() == [False, True, False]
-
-
-def test_place_that_is_too_stiff_for_a_measurable_travel_has_no_estimate():
-    springs = np.array([100.0, 1e4, 400.0])  # 0.15 N / 1e4 N/m = 0.015 mm
-
-    found = PALPATION.stiffness(TIMES, on_springs(TIMES)[0], FRAMES, on_springs(FRAMES, springs)[1])
-
-    assert np.isnan(found).tolist() == [False, True, False]
-
-
-def test_places_after_the_end_of_a_run_have_no_estimate():
-    times, frames = TIMES[TIMES < 12.0], FRAMES[FRAMES < 12.0]
-
-    found = PALPATION.stiffness(times, on_springs(times)[0], frames, on_springs(frames)[1])
-
-    assert np.isnan(found).tolist() == [False, True, True]
+    assert np.isnan(found).tolist() == unknown
 
 
 def test_tip_presses_at_each_place_with_both_forces():

@@ -46,8 +46,7 @@ def predicted(predictor, at, duration=40.0, seed=0, lost=()):
     return times[1:], np.array(errors), known
 
 
-@pytest.mark.parametrize("rate", [0.15, 0.2, 0.25, 0.33, 0.42])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("rate", "seed"), [(0.15, 1), (0.25, 2), (0.42, 1)])
 def test_predictor_finds_the_rates_and_predicts_within_the_frames_noise(rate, seed):
     waves = Waves()
 
@@ -140,7 +139,7 @@ def test_predictor_refuses_a_target_frame_that_is_not_finite(predictor, bad):
 def test_predictor_refuses_a_frame_that_is_not_later_than_the_last(predictor):
     known = predictor.start(np.zeros(3), 1.0)
 
-    with pytest.raises(DescriptionError, match="not later"):
+    with pytest.raises(DescriptionError, match="must be later than"):
         predictor.update(known, np.zeros(3), 1.0)
 
 

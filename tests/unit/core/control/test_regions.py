@@ -1,15 +1,32 @@
 """Motions of the joints stop in front of a region, and the robot retreats from it only during a motion of the tip."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import trimesh
 
 from core.control.controller_settings import Controller
 from core.control.reachability import SolvedConfiguration
-from core.control.retreat import inverse_after_retreat, retreat, within_acceleration
+from core.control.retreat import (
+    MAX_BEYOND_M,
+    MAX_EXTRA_TIME_S,
+    MAX_RETREAT_M_S,
+    NO_RETREAT,
+    continued_retreat,
+    inverse_after_retreat,
+    retreat,
+    within_acceleration,
+)
 from core.control.step import Sample, Tick, start_controller, step
 from core.control.trajectories import JointMotion, Setpoint
 from core.control.velocity_ik import VelocityTask
+from core.errors import PoseError
+from core.model.backbone import backbone
 from core.robot.keep_out import RESERVE_M, KeepOut
+from core.robot.regions import Region, mesh
+from core.robot.robot import Array
 from station.config.controllers import PERIOD_S, ControllerFile
 from station.config.regions import SphereRegion
 from station.config.robots import load_robot
@@ -129,3 +146,38 @@ def test_a_limit_is_not_missed_for_the_acceleration_of_the_joints() -> None:
 def test_a_controller_without_regions_has_the_largest_recorded_clearance() -> None:
     control = ControllerFile().controller(ROBOT)
     assert moved(control, None, PERIOD_S).clearance == 0.1
+
+
+@pytest.mark.parametrize("depth", [0.0005, 0.002, 0.008])
+def test_a_retreat_goes_no_farther_than_its_depth_and_lasts_no_longer(depth: float) -> None:
+    """The clearance does not change, as if the region were somewhere else."""
+    control = controller((0.0058, 0.0, 0.0), 0.004)
+    near = backbone(control.statics, control.statics.solve(START, np.zeros(6)))
+    course, reason = NO_RETREAT, ""
+    for _ in range(10_000):
+        try:
+            course = continued_retreat(course, -depth, PERIOD_S, control.regions, near)
+        except PoseError as error:
+            reason = str(error)
+            break
+    assert re.match(r"the retreat from the region 'ball' has gone .* jog the joints away", reason)
+    assert 0.0 < course.distance <= depth + MAX_BEYOND_M
+    assert course.duration <= 2.0 * depth / MAX_RETREAT_M_S + MAX_EXTRA_TIME_S
+    assert continued_retreat(course, 0.0, PERIOD_S, control.regions, near) == NO_RETREAT
+
+
+def test_a_distance_that_jumps_is_an_error_and_not_a_command() -> None:
+    """One wall of a box in front of the tip is turned, so the sign of the distance changes where it is the nearest."""
+    control = controller((0.0, 0.0, 0.1), 0.004)
+    tip = control.statics.solve(START, np.zeros(6)).tip
+    boxes = [box(tip + 0.016 * np.eye(3)[0], 0.020), box(tip + 0.016 * np.eye(3)[2], 0.016)]
+    boxes[1] = boxes[1][:, ::-1]
+    wrong = KeepOut(Region("boxes", "mesh", (), mesh=mesh(np.concatenate(boxes))))
+    control = replace(control, limits=replace(control.limits, others=(wrong,)))
+    with pytest.raises(PoseError, match=r"the distance of the tubes from the region 'boxes' jumps by .* mm"):
+        moved(control, Setpoint(np.array([-0.002, 0.0, 0.0035]), np.zeros(3)), 3.0)
+
+
+def box(centre: Array, edge: float) -> Array:
+    """Return the outward triangles of a cube [m]."""
+    return np.asarray(trimesh.creation.box((edge,) * 3).triangles) + centre

@@ -1,4 +1,4 @@
-"""Tracked zeros of the base sensors compared with a plain Kalman filter, and with a known drift over hours."""
+"""Tracked zeros of the base sensors compared with a plain Kalman filter, and with a known drift over an hour."""
 
 import math
 
@@ -78,7 +78,7 @@ def drifting(
     return zeros, total[:3]
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_an_update_equals_a_plain_kalman_filter(robot: Robot, circle: list[Solution], seed: int) -> None:
     random = np.random.default_rng(seed)
     turned = Robot("turned", robot.tubes, robot.joints, Base((0.1, -0.2, 0.05), tuple(random.normal(size=3))))
@@ -108,21 +108,19 @@ def test_an_update_equals_a_plain_kalman_filter(robot: Robot, circle: list[Solut
     assert after.since == now
 
 
-def test_hours_of_drift_hardly_change_the_total_force(robot: Robot, circle: list[Solution]) -> None:
+def test_an_hour_of_drift_hardly_changes_the_total_force(robot: Robot, circle: list[Solution]) -> None:
     signs = np.random.default_rng(3).choice([-1.0, 1.0], size=(2, 6))
     rates = signs * np.repeat([ERRORS.force_drift, ERRORS.moment_drift], 3)
 
-    _, after_one_hour = drifting(robot, circle, rates, np.zeros(3), 3600.0)
-    zeros, after_two_hours = drifting(robot, circle, rates, np.zeros(3), 7200.0)
+    zeros, total = drifting(robot, circle, rates, np.zeros(3), 3600.0)
 
-    assert np.linalg.norm(after_one_hour) < 0.3  # the drift of the two sensors is 0.6 N in each axis without tracking
-    assert np.linalg.norm(after_two_hours) < 0.3  # 1.2 N
-    assert np.abs(zeros.values[:, :2]).min() > 0.3  # the drift of each axis of each sensor is 0.6 N
+    assert np.linalg.norm(total) < 0.3  # the drift of the two sensors is 0.6 N in each axis without tracking
+    assert np.abs(zeros.values[:, :2]).min() > 0.15  # the drift of each axis of each sensor is 0.3 N
 
 
 def test_a_lasting_load_on_the_tip_does_not_become_part_of_the_zeros(robot: Robot, circle: list[Solution]) -> None:
     force = np.array([0.3, -0.2, 0.0])
-    zeros, total = drifting(robot, circle, np.zeros((2, 6)), force, 1200.0)
+    zeros, total = drifting(robot, circle, np.zeros((2, 6)), force, 600.0)
     along = _stiffest(circle[0].compliance)
     assert np.linalg.norm(np.cross(total - force, along)) < 0.02
     assert np.abs(zeros.values[:, 3:]).max() < 1e-3

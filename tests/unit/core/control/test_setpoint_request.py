@@ -15,13 +15,6 @@ PERIOD = 0.002
 REST = TargetState(np.zeros(3), np.zeros(3))
 
 
-def breathing(time: float) -> TargetState:
-    """Return the position and exact velocity of a target that moves along an ellipse about a point 30 mm away."""
-    w = 2.0 * np.pi * 0.25
-    at = np.array([0.03, 0.0, 0.0]) + 1e-3 * np.array([5.0 * np.sin(w * time), 0.0, 2.0 * np.cos(w * time)])
-    return TargetState(at, 1e-3 * w * np.array([5.0 * np.cos(w * time), 0.0, -2.0 * np.sin(w * time)]))
-
-
 def run(pursuit, goals, start=REST):
     places = [start]
     for goal in goals:
@@ -36,45 +29,6 @@ def check_bounds(pursuit, positions, velocities):
     np.testing.assert_allclose(
         np.diff(positions, axis=0), 0.5 * PERIOD * (velocities[1:] + velocities[:-1]), atol=1e-15
     )
-
-
-def test_setpoint_reaches_a_moving_goal_and_follows_it_without_lag():
-    pursuit, times = MotionBounds(0.02, 0.1), PERIOD * np.arange(1, 5001)
-
-    positions, velocities = run(pursuit, map(breathing, times))
-
-    check_bounds(pursuit, positions, velocities)
-    goals = np.array([breathing(time).position for time in times])
-    assert np.linalg.norm(positions[1:] - goals, axis=1)[2500:].max() < 2e-5
-
-
-def test_setpoint_stops_at_a_stationary_goal_without_overshoot():
-    pursuit, goal = MotionBounds(0.02, 0.1), TargetState(np.array([0.0, 0.02, 0.0]), np.zeros(3))
-
-    positions, velocities = run(pursuit, [goal] * 3000)
-
-    check_bounds(pursuit, positions, velocities)
-    assert positions[:, 1].max() <= 0.02 + 1e-6
-    assert positions[-1, 1] == pytest.approx(0.02, abs=1e-6)
-
-
-def test_setpoint_without_a_goal_comes_to_rest_and_stays_there():
-    pursuit = MotionBounds(0.02, 0.1)
-
-    positions, velocities = run(pursuit, [None] * 500, TargetState(np.zeros(3), np.array([0.02, 0.0, 0.0])))
-
-    check_bounds(pursuit, positions, velocities)
-    assert positions[-1, 0] == pytest.approx(0.02**2 / (2 * 0.1), rel=0.02)  # v^2 / 2a
-    assert not velocities[-1].any()
-
-
-def test_setpoint_follows_a_goal_that_jumps_a_metre_within_its_motion_bounds():
-    pursuit, far = MotionBounds(0.02, 0.1), TargetState(np.array([1.0, 0.0, 0.0]), np.zeros(3))
-
-    positions, velocities = run(pursuit, [REST] * 10 + [far] * 1000)
-
-    check_bounds(pursuit, positions, velocities)
-    assert velocities[-1, 0] == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +80,7 @@ def test_setpoint_that_circles_along_its_reach_does_not_drift_outward():
     seed=st.integers(0, 2**32),
     moving=st.booleans(),
 )
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 def test_setpoint_never_leaves_its_reach_for_any_goal_and_bounds(speed, acceleration, reach, seed, moving):
     pursuit, random = MotionBounds(speed, acceleration, 20.0, 0.8, reach), np.random.default_rng(seed)
     goals = []
@@ -230,7 +184,7 @@ def test_goal_never_leaves_the_requested_position_by_more_than_its_extrapolation
         assert not goal.velocity.any()
 
 
-@pytest.mark.parametrize("rate", [10.0, 50.0, 100.0, 500.0])
+@pytest.mark.parametrize("rate", [10.0, 500.0])
 def test_circle_requested_in_pieces_with_gaps_is_followed_smoothly(rate):
     turn = 2.0 * math.pi / 20.0
     rng = np.random.default_rng(7)
@@ -319,7 +273,7 @@ def test_new_requested_direction_during_a_rotation_is_approached_from_the_presen
     assert directions[-1] == pytest.approx(other, abs=1e-7)
 
 
-@pytest.mark.parametrize("off", [0.0, 1e-14, 1e-10, 1e-6, 1e-3])
+@pytest.mark.parametrize("off", [0.0, 1e-10, 1e-3])
 def test_opposite_requested_direction_is_reached_by_half_a_turn(off: float) -> None:
     requested = tilted(math.pi - off, 0.3)
     directions, rates = pointed(lambda _: requested, 18.0)
@@ -356,17 +310,12 @@ def test_streamed_direction_without_requests_comes_to_rest_and_stays() -> None:
     assert not rates[-200:].any()
 
 
-def test_start_direction_is_kept_before_the_first_requested_direction() -> None:
-    tip = StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP)
-    setpoint = tip.advance(0.0, SetpointRequest(np.array([0.001, 0.0, 0.0]), STILL, 0.0, 0.1), PERIOD)
-    assert setpoint.direction is not None
-    assert setpoint.direction.tolist() == UP.tolist()
-    assert not setpoint.turning.any()
-
-
-def test_streamed_setpoint_has_no_direction_when_the_direction_is_not_controlled() -> None:
-    setpoint = StreamedTip(DEFAULT_MOTION_BOUNDS).advance(
-        0.0, SetpointRequest(STILL, STILL, 0.0, 0.1, tilted(1.0, 0.0)), PERIOD
-    )
-    assert setpoint.direction is None
-    assert not setpoint.turning.any()
+def test_start_direction_is_kept_before_a_request_and_is_absent_when_the_direction_is_not_controlled() -> None:
+    request = SetpointRequest(np.array([0.001, 0.0, 0.0]), STILL, 0.0, 0.1)
+    kept = StreamedTip(DEFAULT_MOTION_BOUNDS, turn_bounds(FASTEST), UP).advance(0.0, request, PERIOD)
+    absent = StreamedTip(DEFAULT_MOTION_BOUNDS).advance(0.0, request._replace(direction=tilted(1.0, 0.0)), PERIOD)
+    assert kept.direction is not None
+    assert kept.direction.tolist() == UP.tolist()
+    assert absent.direction is None
+    assert not kept.turning.any()
+    assert not absent.turning.any()

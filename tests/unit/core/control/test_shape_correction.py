@@ -1,4 +1,4 @@
-"""Points of the tubes move with the observed tip as the most likely errors of the tubes move them."""
+"""The points of the tubes are moved by the most likely errors of the tubes that explain the observed tip."""
 
 from dataclasses import replace
 

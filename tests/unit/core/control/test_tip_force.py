@@ -1,6 +1,7 @@
 """Force at the tip compared with generalised least squares with full covariances."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,8 +20,10 @@ from core.control.tip_force import (
     estimate_force,
 )
 from core.errors import DescriptionError
-from core.robot.robot import Base, Robot
+from core.model.statics import Statics
+from core.robot.robot import Base, Joint, Robot, Section, Tube
 from station.config.robots import load_robot
+from tests.harness.boundary_value import boundary_value
 
 #: Start pose of the experiment `fig8`, and the tip in this pose.
 JOINTS = np.array([0.0, 0.5 * math.pi, -0.1])
@@ -77,7 +80,7 @@ def covariance(rows: np.ndarray) -> np.ndarray:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 def test_tip_force_and_covariance_equal_direct_generalised_least_squares(robot: Robot, seed: int) -> None:
     random = np.random.default_rng(seed)
     turned = Robot("turned", robot.tubes, robot.joints, Base((0.1, -0.2, 0.05), tuple(random.normal(size=3))))
@@ -132,7 +135,7 @@ def test_wrenches_between_the_tubes_cancel_in_the_tip_force(robot: Robot) -> Non
 
 def test_load_on_the_shaft_gives_the_sum_of_forces_and_the_transition_is_continuous(robot: Robot) -> None:
     force = np.array([0.3, 0.1, 0.0])
-    parts = np.linspace(1.0, 0.3, 60)
+    parts = np.linspace(1.0, 0.3, 30)
     narrow = LoadEstimator(moments=True)
     found, misfits = [], []
     for part in parts:
@@ -150,27 +153,20 @@ def test_load_on_the_shaft_gives_the_sum_of_forces_and_the_transition_is_continu
     assert misfits[-1] > 10.0 * FITS
     # far from the tip the estimate is the sum of the sensors' forces
     np.testing.assert_allclose(found[-1], force, rtol=0, atol=0.01)
-    assert np.abs(np.diff(found, axis=0)).max() < 0.06  # the estimate does not jump between both methods
+    assert np.abs(np.diff(found, axis=0)).max() < 0.12  # the estimate does not jump between both methods
 
 
-@pytest.mark.parametrize("missing", [(math.inf, math.inf), math.inf])
-def test_force_estimate_without_moments_is_the_sum_of_the_sensor_forces(robot: Robot, missing: float) -> None:
+@pytest.mark.parametrize(
+    ("noise", "missing"), [((math.inf, math.inf), [0, 1]), (math.inf, [0, 1]), ((math.inf, 0.2e-3), [0])]
+)
+def test_force_estimate_without_moments_is_the_sum_of_the_sensor_forces(robot: Robot, noise, missing) -> None:
     force = np.array([0.3, 0.1, -0.2])
-    wrenches = readings(robot, force, 0.5 * TIP, np.zeros(6))
-    wrenches[:, 3:] = math.nan  # a reading of a missing channel is not used
+    wrenches = readings(robot, force, (0.5 if len(missing) == 2 else 1.0) * TIP, np.zeros(6))
+    wrenches[missing, 3:] = math.nan  # a reading of a missing channel is not used
 
-    rows = estimated(robot, SensorErrors(moment_noise=missing), wrenches)
+    rows = estimated(robot, SensorErrors(moment_noise=noise), wrenches)
 
-    np.testing.assert_allclose(rows[FORCE], fuse_at(robot, JOINTS, wrenches).force, rtol=0, atol=1e-6)
-
-
-def test_the_force_estimate_is_finite_with_a_sensor_without_moments(robot: Robot) -> None:
-    wrenches = readings(robot, np.array([0.3, 0.1, -0.2]), TIP, np.zeros(6))
-    wrenches[0, 3:] = math.nan
-
-    rows = estimated(robot, SensorErrors(moment_noise=(math.inf, 0.2e-3)), wrenches)
-
-    assert np.isfinite(rows).all()
+    assert np.isfinite(rows).all() or len(missing) == 2
     np.testing.assert_allclose(rows[FORCE], fuse_at(robot, JOINTS, wrenches).force, rtol=0, atol=1e-6)
 
 
@@ -182,7 +178,7 @@ def test_sensor_reading_of_nan_makes_the_force_estimate_nan(robot: Robot) -> Non
 
 
 def test_sensor_noise_of_zero_is_refused() -> None:
-    with pytest.raises(DescriptionError, match="must be greater than 0"):
+    with pytest.raises(DescriptionError, match="must be above 0"):
         LoadEstimator(errors=SensorErrors(force_noise=0.0)).settings  # noqa: B018
 
 
@@ -196,3 +192,35 @@ def test_the_force_uncertainty_grows_with_the_sensor_drift_since_the_tare(robot:
 @pytest.mark.parametrize("bandwidth", [0.4, 0.7, 3.0, 10.0])
 def test_closed_form_filter_gains_match_the_steady_kalman_filter(bandwidth: float) -> None:
     np.testing.assert_allclose(gains(0.002, bandwidth), RateFilter(0.002, bandwidth).gain, rtol=1e-4)
+
+
+def test_force_sensor_under_a_straight_tube_gives_the_force_with_the_uncertainty_of_its_lever() -> None:
+    tube = Tube("only", (Section(0.25),), 0.05, translation=-0.05)
+    straight = Robot("straight", (tube,), (Joint("turn", 0, "rotation"),), sensed="robot")
+    found, joints, tip = np.empty((5, 3)), np.array([1.3]), np.array([0.0, 0.0, 0.2])
+    # 0.3 N along x at 0.2 m: 60 N mm about y, in the plate's axes although the tube is turned.
+    reading = np.array([[0.3, -0.1, 0.05, 0.02, 0.06, 0.0]])
+    estimator = LoadEstimator(moments=True, errors=NOISE)
+
+    last = estimator.start(np.zeros(3), WIDE)
+    estimate_force(estimator.settings, 0.002, straight.layout, joints, reading, tip, last, found)
+
+    np.testing.assert_allclose(found[FORCE], [0.3, -0.1, 0.05], rtol=0, atol=1e-9)
+    # Across the lever 1 / variance = 1 / (20 mN)^2 + (0.2 m / 0.2 N mm)^2; along it the force alone counts.
+    np.testing.assert_allclose(found[VARIANCE], [1 / 1002500.0, 1 / 1002500.0, 4e-4], rtol=1e-6)
+
+
+@pytest.mark.parametrize("force", [(0.3, 0.0, 0.0), (-0.1, 0.25, 0.2)])
+def test_force_sensor_under_two_tubes_gives_the_force_of_an_independent_solution(robot: Robot, force) -> None:
+    one = replace(robot, sensed="robot")
+    exact = boundary_value(robot, JOINTS, np.array([*force, 0.0, 0.0, 0.0]))
+    moment, found = exact.unknowns[2:], np.empty((5, 3))
+    estimator = LoadEstimator(moments=True, errors=NOISE)
+    tip = Statics(robot).solve(JOINTS, np.array([*force, 0.0, 0.0, 0.0])).tip
+
+    last = estimator.start(np.zeros(3), WIDE)
+    reading = np.array([[*force, *moment]])
+    estimate_force(estimator.settings, 0.002, one.layout, JOINTS, reading, tip, last, found)
+
+    np.testing.assert_allclose(found[FORCE], force, rtol=0, atol=1e-3)
+    assert found[QUALITY, MISFIT] < 1.0  # the moment is that of a force at the tip

@@ -35,7 +35,7 @@ def same(found, alone):
     np.testing.assert_allclose(found, alone, rtol=1e-7, atol=1e-11)
 
 
-@pytest.mark.parametrize(("force", "moment"), [(0.6, 0.0), (0.0, 0.0), (0.3, 0.01), (6.0, 0.0)])
+@pytest.mark.parametrize(("force", "moment"), [(0.3, 0.01), (6.0, 0.0)])
 def test_cold_batch_rows_match_the_single_solve(model, poses, force, moment):
     """The rows include poses that may have more than one shape, because of a large force or a moment."""
     joints, wrenches = rows(poses(3, 40, force, moment))
@@ -43,7 +43,11 @@ def test_cold_batch_rows_match_the_single_solve(model, poses, force, moment):
 
     assert found.ok.all()
     for row in range(len(found)):
-        same(found.numbers[row], model.solve(joints[row], wrenches[row]).numbers)
+        alone = model.solve(joints[row], wrenches[row])
+        same(found.numbers[row], alone.numbers)
+        for part in ("tip", "rotation", "jacobian", "compliance", "stability", "iterations"):
+            same(getattr(found, part)[row], getattr(alone, part))
+            same(getattr(found.at(row), part), getattr(alone, part))
 
 
 def test_batches_match_the_single_solve_for_other_tubes_and_integrators(three_tubes, poses):
@@ -106,16 +110,6 @@ def test_a_batch_row_without_a_solution_is_marked_and_the_other_rows_are_solved(
         found.at(1)
     following = solve_many(model, *wander(9), near=found)
     assert np.array_equal(following.numbers[~found.ok], good.numbers[~found.ok])
-
-
-def test_the_parts_of_a_batch_match_each_solution(model):
-    joints, wrenches = wander(4)
-    found = solve_many(model, joints, wrenches)
-
-    for row in range(4):
-        alone = found.at(row)
-        for part in ("tip", "rotation", "jacobian", "compliance", "stability", "iterations"):
-            same(getattr(found, part)[row], getattr(alone, part))
 
 
 def test_each_batch_row_may_have_a_different_robot(paper_robot):

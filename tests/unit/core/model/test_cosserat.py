@@ -1,9 +1,6 @@
 """The exact rod matches published values, closed forms and reciprocity."""
 
-import math
-
 import numpy as np
-import pytest
 from scipy.integrate import solve_bvp
 
 from core.model.cosserat import ExactRod
@@ -16,35 +13,9 @@ def test_tips_of_the_exact_rod_match_three_solvers_to_a_micrometre(paper_robot, 
 
 
 def test_a_finer_step_changes_the_exact_rod_s_tip_by_less_than_a_nanometre(paper_robot, poses):
-    for joints, wrench in poses(seed=21, count=10, force=0.5, moment=0.02):
+    for joints, wrench in poses(seed=21, count=4, force=0.5, moment=0.02):
         coarse, fine = (ExactRod(paper_robot, step).solve(joints, wrench) for step in (0.002, 0.0005))
         np.testing.assert_allclose(coarse.tip, fine.tip, rtol=0, atol=1e-9)
-
-
-def test_one_unloaded_tube_is_a_circular_arc(one_tube):
-    robot = one_tube(Section(0.05), Section(0.10, (4.0, 0.0)))
-
-    rod = ExactRod(robot).solve(np.array([0.3, -0.02]), np.zeros(6))
-
-    sideways, along = (1.0 - math.cos(0.4)) / 4.0, 0.03 + math.sin(0.4) / 4.0
-    np.testing.assert_allclose(rod.tip, [sideways * math.sin(0.3), -sideways * math.cos(0.3), along], rtol=0, atol=1e-9)
-
-
-def test_a_tip_moment_bends_a_straight_tube_into_a_circle(one_tube):
-    moment, length = 0.3, 0.15
-    rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.0, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, moment, 0.0]))
-
-    radius = 0.04 / moment
-    angle = length / radius
-    np.testing.assert_allclose(
-        rod.tip, [radius * (1.0 - math.cos(angle)), 0.0, radius * math.sin(angle)], rtol=0, atol=1e-8
-    )
-
-
-def test_an_axial_tip_moment_also_twists_the_part_behind_the_plate(one_tube):
-    rod = ExactRod(one_tube(Section(0.2))).solve(np.array([0.4, -0.05]), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))
-
-    assert math.atan2(rod.rotation[1, 0], rod.rotation[0, 0]) == pytest.approx(0.4 + 0.01 * 0.2 * 1.30 / 0.04, abs=1e-9)
 
 
 def test_a_large_tip_force_bends_a_straight_tube_into_the_elastica(one_tube):
@@ -70,7 +41,7 @@ def test_a_large_tip_force_bends_a_straight_tube_into_the_elastica(one_tube):
 
 def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differences):
     """By Maxwell and Betti, the compliance of an elastic body under a conservative load is symmetric."""
-    for joints, wrench in poses(seed=22, count=5, force=0.5):
+    for joints, wrench in poses(seed=22, count=2, force=0.5):
         _, compliance = differences(ExactRod(paper_robot, tolerance=1e-11), joints, wrench)
         np.testing.assert_allclose(compliance, compliance.T, rtol=0, atol=2e-5 * np.abs(compliance).max())
         force_block = compliance[:3, :3]
@@ -79,7 +50,7 @@ def test_the_compliance_to_a_tip_force_is_symmetric(paper_robot, poses, differen
 
 def test_a_warm_start_finds_the_solution_of_a_cold_start(paper_robot):
     exact, near = ExactRod(paper_robot), None
-    for tick in range(100):
+    for tick in range(30):
         joints = np.array([0.010 * tick, 1.5 - 0.007 * tick, -0.1 + 3e-4 * tick])
         wrench = np.array([0.4 * np.sin(0.05 * tick), 0.2, -0.1, 0.005, 0.0, 0.0])
         near, cold = exact.solve(joints, wrench, near), exact.solve(joints, wrench)

@@ -12,7 +12,7 @@ from core.model.relaxation import base_unknowns, cut, relax
 from core.model.solution import at_rest
 from core.model.statics import Statics
 from core.robot.robot import Joint, Robot, Section, Tube
-from station.benchmarks.solver import MAX_FORCE_N, OTHER_SHAPE_M, ZERO_EIGENVALUE, continued_from_rest, draw, lowest
+from tests.measure.solver import MAX_FORCE_N, OTHER_SHAPE_M, ZERO_EIGENVALUE, continued_from_rest, draw, lowest
 
 UNLOADED = np.zeros(6)
 TURN = (Joint("inner", 0, "rotation"), Joint("outer", 1, "rotation"))
@@ -36,17 +36,20 @@ def poses(force: float, numbers: tuple[int, ...]):
 
 
 class TestNegativeDirections:
-    @pytest.mark.parametrize(("part", "count"), [(0.0, 0), (0.9, 0), (1.1, 2), (8.0, 2), (10.0, 4)])
+    @pytest.mark.parametrize(("part", "count"), [(0.0, 0), (0.97, 0), (1.03, 2), (8.0, 2), (10.0, 4)])
     def test_a_compressed_straight_tube_has_two_negative_directions_per_euler_load(self, one_tube, part, count):
         """The tube buckles in x and y at once, which does not change the sign of the margin."""
         length = 0.15
         wrench = np.array([0.0, 0.0, -part * math.pi**2 * 0.04 / (4.0 * length**2), 0.0, 0.0, 0.0])
-        model, joints = Statics(one_tube(Section(0.2)), 0.0025), np.array([0.0, -0.05])
+        robot, joints = one_tube(Section(0.2)), np.array([0.0, -0.05])
+        model = Statics(robot, 0.0025)
         straight = model.solve(joints, wrench, at_rest(joints, math.inf, 1))
 
         np.testing.assert_allclose(straight.tip, [0.0, 0.0, length], rtol=0, atol=1e-12)
         assert straight.stability > 0.0
         assert model.negative_directions(straight) == count
+        assert abs(lowest(robot, straight)) > ZERO_EIGENVALUE
+        assert (lowest(robot, straight) > 0.0) == (count == 0)
 
     @pytest.mark.parametrize(("steepness", "count"), [(2.3, 0), (2.6, 1), (21.0, 1), (23.5, 2)])
     def test_opposed_tubes_have_one_negative_direction_per_odd_quarter_wave(self, steepness, count):
@@ -61,7 +64,7 @@ class TestNegativeDirections:
     def test_negative_directions_of_a_shape_match_differences_of_the_energy(self, three_tubes, force):
         random, seen = np.random.default_rng(3), set()
         model = Statics(three_tubes, FINE, "fourth_order")
-        for _ in range(40):
+        for _ in range(12):
             turn = random.uniform(-np.pi, np.pi, 3)
             joints = np.array([turn[0], -0.15, turn[1], -0.06, turn[2], -0.02])
             wrench = np.r_[random.normal(scale=8.0 * force, size=3), 0.0, 0.0, 0.0]
@@ -94,7 +97,7 @@ class TestColdStarts:
     @pytest.mark.parametrize("force", [0.0, MAX_FORCE_N])
     def test_cold_starts_find_the_shape_that_the_exact_rod_reaches_from_rest(self, force):
         compared = 0
-        for pose in itertools.islice(draw(5, force), 60):
+        for pose in itertools.islice(draw(5, force), 24):
             if len(pose.robot.tubes) == 3:
                 rod, calm = continued_from_rest(pose)
                 if rod is not None and calm:
@@ -103,7 +106,7 @@ class TestColdStarts:
                         np.linalg.norm(Statics(pose.robot).solve(pose.joints, pose.wrench).tip - rod.tip)
                         < OTHER_SHAPE_M
                     )
-        assert compared > 15
+        assert compared > 5
 
     def test_a_cold_start_beyond_euler_s_load_finds_the_buckled_shape(self, one_tube):
         """The straight shape is also an equilibrium, but an unstable one."""
@@ -121,7 +124,7 @@ class TestRelaxation:
         exact = ExactRod(paper_robot).solve(joints, np.r_[force, 0.0, 0.0, 0.0])
         errors = []
         for longest in (0.02, 0.01, 0.005):
-            chain = cut(paper_robot, joints, force, math.inf, longest)
+            chain = cut(paper_robot, joints, np.append(force, np.zeros(3)), math.inf, longest)
             theta = np.tile(chain.alpha, (chain.ends.size, 1))
             relaxed = relax(chain, theta, np.zeros((chain.ends.size - 1, 2)))
             assert relaxed is not None

@@ -24,10 +24,6 @@ def largest_error(found, expected) -> float:
 
 
 class TestExactTips:
-    def test_tip_errors_with_the_papers_sublink_are_below_a_tenth_of_a_millimetre(self, paper_robot, exact_tips):
-        for joints, wrench, tip in exact_tips:
-            assert np.linalg.norm(Statics(paper_robot, 0.010).solve(joints, wrench).tip - tip) < 0.08e-3
-
     @pytest.mark.parametrize(
         ("sublink", "mean", "worst"),
         [(0.020, 0.20e-3, 0.27e-3), (0.010, 0.05e-3, 0.07e-3), (0.005, 0.013e-3, 0.018e-3), (FINE, 3.3e-6, 4.5e-6)],
@@ -44,7 +40,7 @@ class TestExactTips:
         translation=st.floats(-0.1379, 0.0),
         force=st.tuples(*3 * [st.floats(-0.34, 0.34)]),
     )
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=40, deadline=None)
     def test_a_cold_start_anywhere_is_within_the_papers_accuracy(self, paper_robot, turns, translation, force):
         """Forces are up to 0.6 N. The test is intentionally random in every run."""
         joints, wrench = np.array([*turns, translation]), np.array([*force, 0.0, 0.0, 0.0])
@@ -52,21 +48,9 @@ class TestExactTips:
         assert np.linalg.norm(solution.tip - ExactRod(paper_robot).solve(joints, wrench).tip) < 0.15e-3
         assert solution.stability > 0.0
 
-    def test_a_cold_solve_returns_the_correct_shape_or_raises(self, paper_robot, poses):
-        model, exact = Statics(paper_robot, 0.005), ExactRod(paper_robot)
-        solved = 0
-        for joints, wrench in poses(seed=11, count=200, force=0.6):
-            try:
-                tip = model.solve(joints, wrench).tip
-            except NoSolution:
-                continue
-            solved += 1
-            assert np.linalg.norm(tip - exact.solve(joints, wrench).tip) < 0.15e-3, (joints, wrench)
-        assert solved > 190
-
     def test_a_tip_moment_agrees_with_the_exact_rod(self, paper_robot, poses):
         model, exact = Statics(paper_robot, FINE), ExactRod(paper_robot)
-        for joints, wrench in poses(seed=12, count=30, force=0.5, moment=0.03):
+        for joints, wrench in poses(seed=12, count=10, force=0.5, moment=0.03):
             found, expected = model.solve(joints, wrench), exact.solve(joints, wrench)
             np.testing.assert_allclose(found.tip, expected.tip, rtol=0, atol=8e-6)
             np.testing.assert_allclose(found.rotation, expected.rotation, rtol=0, atol=5e-5)
@@ -74,7 +58,7 @@ class TestExactTips:
     def test_three_tubes_agree_with_the_exact_rod(self, three_tubes):
         model, exact = Statics(three_tubes, FINE), ExactRod(three_tubes)
         random = np.random.default_rng(13)
-        for _ in range(20):
+        for _ in range(8):
             turn, wrench = random.uniform(-np.pi, np.pi, 3), random.normal(scale=3 * [0.2] + 3 * [0.01])
             joints = np.array(
                 [turn[0], random.uniform(-0.09, -0.03), turn[1], random.uniform(-0.03, -0.01), turn[2], 0]
@@ -100,62 +84,26 @@ class TestDerivatives:
         np.testing.assert_allclose(solution.jacobian[:3], jacobian, rtol=0, atol=1e-5)
         np.testing.assert_allclose(solution.compliance[:3, :3][np.triu_indices(3)], upper, rtol=0, atol=1e-5)
 
-    @pytest.mark.parametrize("case", range(50))
+    @pytest.mark.parametrize(
+        ("integrator", "sublink", "error"),
+        [("paper", None, 1e-6), ("fourth_order", 0.010, 2e-6), ("fourth_order", 0.030, 2e-6)],
+    )
     def test_jacobian_and_compliance_are_the_derivatives_of_the_resolved_tip(
-        self, paper_robot, poses, differences, case
-    ):
-        model = Statics(paper_robot)
-        joints, wrench = poses(seed=14, count=50, force=0.5, moment=0.02)[case]
-
-        solution = model.solve(joints, wrench)
-        jacobian, compliance = differences(model, joints, wrench)
-
-        for rows in BLOCKS.values():
-            assert largest_error(solution.jacobian[rows, :2], jacobian[rows, :2]) < 1e-6
-            assert largest_error(solution.jacobian[rows, 2], jacobian[rows, 2]) < 1e-6
-            for columns in BLOCKS.values():
-                assert largest_error(solution.compliance[rows, columns], compliance[rows, columns]) < 1e-6
-
-    def test_jacobian_and_compliance_of_three_tubes_are_the_derivatives_of_the_resolved_tip(
-        self, three_tubes, differences
+        self, paper_robot, three_tubes, poses, differences, integrator, sublink, error
     ):
         joints = np.array([0.5, -0.0613, 2.0, -0.0207, -1.0, -0.005])
-        wrench = np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004])
-        model = Statics(three_tubes)
-
-        solution = model.solve(joints, wrench)
-        jacobian, compliance = differences(model, joints, wrench)
-
-        for rows in BLOCKS.values():
-            assert largest_error(solution.jacobian[rows], jacobian[rows]) < 1e-6
-            assert largest_error(solution.compliance[rows], compliance[rows]) < 1e-6
-
-    @pytest.mark.parametrize("case", range(6))
-    def test_jacobian_and_compliance_approach_the_derivatives_of_the_exact_rod(
-        self, paper_robot, poses, differences, case
-    ):
-        joints, wrench = poses(seed=15, count=6, force=0.5, moment=0.02)[case]
-
-        solution = Statics(paper_robot, FINE).solve(joints, wrench)
-        jacobian, compliance = differences(ExactRod(paper_robot, tolerance=1e-11), joints, wrench)
-
-        for rows in BLOCKS.values():
-            assert largest_error(solution.jacobian[rows, :2], jacobian[rows, :2]) < 3e-4
-            assert largest_error(solution.jacobian[rows, 2], jacobian[rows, 2]) < 3e-4
-            for columns in BLOCKS.values():
-                assert largest_error(solution.compliance[rows, columns], compliance[rows, columns]) < 3e-4
-
-    def test_the_scheme_leaves_the_compliance_asymmetric_to_second_order(self, paper_robot, poses):
-        medians = []
-        for sublink in (0.010, 0.005, 0.0025):
-            model, asymmetry = Statics(paper_robot, sublink), []
-            for joints, wrench in poses(seed=14, count=50, force=0.5):
-                block = model.solve(joints, wrench).compliance[:3, :3]
-                asymmetry.append(np.abs(block - block.T).max() / np.abs(block).max())
-            medians.append(np.median(asymmetry))
-            assert max(asymmetry) < 2e-3 * (sublink / 0.010) ** 2
-        np.testing.assert_allclose(np.divide(medians[:-1], medians[1:]), 4.0, rtol=0.1)
-        assert medians[0] > 1e-4  # a block that was made symmetric would hide the scheme's error
+        cases = [(three_tubes, joints, np.array([0.2, -0.1, 0.15, 0.01, -0.005, 0.004]))]
+        cases += [(paper_robot, *case) for case in poses(seed=14, count=6, force=0.5, moment=0.02)]
+        for robot, joints, wrench in cases:
+            model = Statics(robot, sublink, integrator)
+            solution = model.solve(joints, wrench)
+            jacobian, compliance = differences(model, joints, wrench)
+            turns = [joint.motion == "rotation" for joint in robot.joints]
+            for rows in BLOCKS.values():
+                for columns in (turns, np.logical_not(turns)):
+                    assert largest_error(solution.jacobian[rows, columns], jacobian[rows, columns]) < error
+                for columns in BLOCKS.values():
+                    assert largest_error(solution.compliance[rows, columns], compliance[rows, columns]) < error
 
     def test_the_sensitivity_is_the_derivative_of_the_base_unknowns(self, paper_robot):
         model = Statics(paper_robot)
@@ -175,11 +123,11 @@ class TestDerivatives:
 class TestSymmetry:
     """Rotating robot and load about z must rotate the result; physics implies this, but the integrator does not."""
 
-    @pytest.mark.parametrize("angle", [0.7, -2.9, 2 * math.pi])
+    @pytest.mark.parametrize("angle", [-2.9, 2 * math.pi])
     def test_turning_both_tubes_and_the_load_turns_tip_and_derivatives(self, paper_robot, poses, angle):
         model, turn = Statics(paper_robot), Rotation.from_euler("z", angle).as_matrix()
         both = np.kron(np.eye(2), turn)
-        for joints, wrench in poses(seed=16, count=10, force=0.5, moment=0.02):
+        for joints, wrench in poses(seed=16, count=4, force=0.5, moment=0.02):
             here = model.solve(joints, wrench)
             there = model.solve(joints + np.array([angle, angle, 0.0]), both @ wrench)
             np.testing.assert_allclose(there.tip, turn @ here.tip, rtol=0, atol=1e-9)
@@ -193,7 +141,7 @@ class TestSymmetry:
         force=st.tuples(*3 * [st.floats(-0.3, 0.3)]),
         moment=st.tuples(*3 * [st.floats(-0.01, 0.01)]),
     )
-    @settings(max_examples=60, derandomize=True, deadline=None, database=None)
+    @settings(max_examples=20, derandomize=True, deadline=None, database=None)
     def test_the_derivative_of_a_rotation_about_z_is_exact_at_any_pose(
         self, paper_robot, turns, translation, force, moment
     ):
@@ -215,7 +163,7 @@ class TestSymmetry:
 class TestSolve:
     def test_a_warm_start_finds_the_solution_of_a_cold_start(self, paper_robot):
         model, near = Statics(paper_robot), None
-        for tick in range(200):
+        for tick in range(60):
             joints = np.array([0.010 * tick, 1.5 - 0.007 * tick, -0.1 + 3e-4 * tick])
             wrench = np.array([0.4 * np.sin(0.05 * tick), 0.2, -0.1, 0.005, 0.01 * np.cos(0.1 * tick), 0.0])
             near, cold = model.solve(joints, wrench, near), model.solve(joints, wrench)
@@ -265,14 +213,9 @@ class TestSolve:
         model = Statics(paper_robot, FINE)
         far = model.solve(np.array([0.0, 0.0, -0.02]), np.array([-0.5, 0.0, 0.0, 0.0, 0.0, 0.0]))
         exact = ExactRod(paper_robot)
-        for joints, wrench in poses(seed=17, count=20, force=0.3):
+        for joints, wrench in poses(seed=17, count=6, force=0.3):
             tip = model.solve(joints, wrench, far).tip
             np.testing.assert_allclose(tip, exact.solve(joints, wrench).tip, rtol=0, atol=8e-6)
-
-    def test_an_unloaded_robot_carries_no_moment(self, paper_robot, poses):
-        model = Statics(paper_robot)
-        for joints, _ in poses(seed=18, count=20, force=0.0):
-            assert np.abs(model.solve(joints, UNLOADED).unknowns[2:]).max() < 1e-9
 
     def test_the_moment_at_the_plate_balances_the_load(self, paper_robot, poses):
         model = Statics(paper_robot)
@@ -354,48 +297,31 @@ class TestRefusals:
     def near(self, solver, request):
         return solver.solve(self.JOINTS, UNLOADED) if request.param == "warm" else None
 
-    @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-    @pytest.mark.parametrize("index", [0, 5])
-    def test_a_wrench_that_is_not_finite_is_refused(self, solver, near, bad, index):
-        wrench = np.zeros(6)
-        wrench[index] = bad
-
-        with pytest.raises(NotFinite, match=rf"tip wrench .*{bad}.*six finite numbers"):
-            solver.solve(self.JOINTS, wrench, near)
-
-    @pytest.mark.parametrize("shape", [(3,), (7,), (1, 6)])
-    def test_a_wrench_of_another_shape_is_refused(self, solver, near, shape):
-        with pytest.raises(NotFinite, match=r"tip wrench .*six finite numbers"):
-            solver.solve(self.JOINTS, np.zeros(shape), near)
-
-    @pytest.mark.parametrize("count", [2, 7])
-    def test_a_wrong_number_of_joints_is_refused(self, solver, near, count):
-        with pytest.raises(PoseError, match=rf"shape \({count},\); 'paper' needs \(3,\)"):
-            solver.solve(np.full(count, -0.1), UNLOADED, near)
-
-    @pytest.mark.parametrize("bad", [math.nan, math.inf])
-    @pytest.mark.parametrize("index", [1, 2])
-    def test_a_pose_that_is_not_finite_is_refused_by_joint(self, solver, near, bad, index):
-        joints = self.JOINTS.copy()
-        joints[index] = bad
-
-        with pytest.raises(PoseError, match=f"{solver.robot.joint_names[index]} is {bad}"):
-            solver.solve(joints, UNLOADED, near)
-
     @pytest.mark.parametrize(
-        ("translation", "words"),
-        [(0.005, "'inner' starts at 5 mm"), (-0.1381, "'inner' ends at 164.9 mm"), (-0.4, "'inner' ends at -97 mm")],
+        ("joints", "wrench", "error", "words"),
+        [
+            (JOINTS, [math.nan, 0.0, 0.0, 0.0, 0.0, 0.0], NotFinite, r"tip wrench .*nan.*six finite numbers"),
+            (JOINTS, [0.0, 0.0, 0.0, 0.0, 0.0, -math.inf], NotFinite, r"tip wrench .*-inf.*six finite numbers"),
+            (JOINTS, [0.0] * 3, NotFinite, r"tip wrench .*six finite numbers"),
+            (JOINTS, [[0.0] * 6], NotFinite, r"tip wrench .*six finite numbers"),
+            ([-0.1] * 2, UNLOADED, PoseError, r"shape \(2,\); 'paper' needs \(3,\)"),
+            ([-0.1] * 7, UNLOADED, PoseError, r"shape \(7,\); 'paper' needs \(3,\)"),
+            ([0.0, math.nan, -0.1], UNLOADED, PoseError, "inner_rotation is nan"),
+            ([0.0, 1.0, math.inf], UNLOADED, PoseError, "inner_translation is inf"),
+            ([0.0, 0.0, 0.005], UNLOADED, PoseError, "'inner' starts at 5 mm"),
+            ([0.0, 0.0, -0.31], UNLOADED, PoseError, "'inner' ends at -7 mm"),
+            ([0.0, 0.0, -0.4], UNLOADED, PoseError, "'inner' ends at -97 mm"),
+            (JOINTS, [0.0, 0.0, 0.0, 1e9, 0.0, 0.0], NoSolution, r"1000000000\.0"),
+        ],
     )
-    def test_an_invalid_pose_is_refused(self, solver, near, translation, words):
-        with pytest.raises(PoseError, match=words):
-            solver.solve(np.array([0.0, 0.0, translation]), UNLOADED, near)
+    def test_an_invalid_pose_or_wrench_and_a_load_out_of_reach_are_refused(
+        self, solver, near, joints, wrench, error, words
+    ):
+        with pytest.raises(error, match=words):
+            solver.solve(np.array(joints), np.array(wrench), near)
 
     @pytest.mark.parametrize("step", [0.0, -0.010, math.nan, math.inf])
     @pytest.mark.parametrize(("kind", "name"), [(Statics, "sublink"), (ExactRod, "step")])
     def test_an_invalid_step_length_is_refused_by_name_and_value(self, paper_robot, kind, name, step):
         with pytest.raises(DescriptionError, match=f"{name} {step:g} m must be finite and greater than 0"):
             kind(paper_robot, step)
-
-    def test_a_load_out_of_reach_raises_no_solution_with_the_load(self, solver, near):
-        with pytest.raises(NoSolution, match=r"1000000000\.0"):
-            solver.solve(self.JOINTS, np.array([0.0, 0.0, 0.0, 1e9, 0.0, 0.0]), near)

@@ -20,14 +20,14 @@ def pair(curvature: float, angle: float = 0.0) -> Robot:
 
 
 def alone(robot: Robot, joints: np.ndarray, force: float) -> bool:
-    return is_unique(robot.layout, robot.tube_poses(joints)[1], force, (0.0,) * len(robot.tubes))
+    return is_unique(robot.layout, robot.tube_poses(joints)[1], force, np.inf, (0.0,) * len(robot.tubes))
 
 
-@pytest.mark.parametrize("slide", [-0.15, -0.12, -0.1])
+@pytest.mark.parametrize("slide", [-0.15, -0.1])
 @pytest.mark.parametrize("angle", [0.0, 1.0])
 def test_two_tubes_without_load_have_one_shape_until_they_snap(slide, angle):
     joints = np.array([0.0, slide])
-    numbers = {u: snap_number(pair(u), joints) for u in np.arange(1.0, 15.0, 0.1).tolist()}
+    numbers = {u: snap_number(pair(u), joints) for u in np.arange(1.0, 15.0, 0.7).tolist()}
     known = {u: alone(pair(u, angle), joints, 0.0) for u in numbers}
 
     assert not any(known[u] for u, number in numbers.items() if number >= 1.0)
@@ -48,7 +48,7 @@ def test_a_straight_tube_has_one_shape_up_to_eulers_load(length):
 def test_the_papers_robot_has_one_shape_at_every_valid_pose_under_forces_up_to_0_6_newton(
     paper_robot,
 ):
-    for slide in np.linspace(-0.13, -0.005, 60):
+    for slide in np.linspace(-0.13, -0.005, 20):
         assert alone(paper_robot, np.array([0.0, 0.0, slide]), 0.6)
     assert not alone(paper_robot, np.array([0.0, 0.0, -0.005]), 1.6)
 

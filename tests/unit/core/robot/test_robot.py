@@ -16,20 +16,11 @@ LONG = replace(TUBE, name="long", sections=(Section(0.3),))
 TURN = Joint("turn", 0, "rotation")
 
 
-def test_joint_names_and_units_are_in_the_order_of_the_joints(paper_robot):
-    assert paper_robot.joint_names == ("outer_rotation", "inner_rotation", "inner_translation")
-    assert [joint.unit for joint in paper_robot.joints] == ["rad", "rad", "m"]
-
-
 def test_each_joint_moves_its_own_tube_and_a_tube_without_joint_stays_at_the_plate(paper_robot):
     alpha, beta = paper_robot.tube_poses(np.array([0.1, 0.2, -0.3]))
 
     assert alpha.tolist() == [0.2, 0.1]
     assert beta.tolist() == [-0.3, 0.0]
-
-
-def test_the_length_of_a_tube_is_the_sum_of_its_sections(paper_robot):
-    assert [tube.length for tube in paper_robot.tubes] == pytest.approx([0.303, 0.165])
 
 
 def test_robot_layout_contains_the_numbers_of_the_description(paper_robot):
@@ -64,6 +55,10 @@ def test_robot_layout_contains_the_numbers_of_the_description(paper_robot):
         ({"inner_diameter": 1.9e-3}, ["'thin'", "inner_diameter", "1.9 mm", "0 ... 1.8 mm"]),
         ({"inner_diameter": -1e-3}, ["inner_diameter", "-1 mm", "0 ... 1.8 mm"]),
         ({"inner_diameter": math.nan}, ["inner_diameter", "nan mm", "0 ... 1.8 mm"]),
+        ({"translation": 0.01}, ["'thin'", "translation 10 mm", "plate at 0 mm"]),
+        ({"translation": math.nan}, ["'thin'", "translation nan mm"]),
+        ({"rotation": math.inf}, ["'thin'", "rotation inf rad"]),
+        ({"torsional_stiffness": 0.0}, ["'thin'", "torsional_stiffness 0 N m^2"]),
     ],
 )
 def test_an_invalid_tube_is_refused_by_name_value_and_bound(change, words):
@@ -81,20 +76,12 @@ def test_an_invalid_tube_is_refused_by_name_value_and_bound(change, words):
         ((WIDE, TUBE), (), ["'wide'", "3 mm", "'thin'", "1 mm"]),
         ((TUBE,), (Joint("far", 1, "rotation"),), ["'far'", "tube 1", "0 ... 0"]),
         ((TUBE,), (Joint("far", -1, "rotation"),), ["'far'", "tube -1", "0 ... 0"]),
-        ((TUBE,), (TURN, Joint("again", 0, "rotation")), ["'again'", "rotation of tube 0", "twice"]),
+        ((TUBE,), (TURN, Joint("again", 0, "rotation")), ["'again'", "rotation of tube 0", "already has a joint"]),
         ((TUBE, WIDE), (TURN, Joint("turn", 1, "rotation")), ["'bad'", "same name"]),
         ((TUBE,), (Joint("odd", 0, "rotate"),), ["'odd'", "'rotate'", "rotation", "translation"]),
         ((TUBE,) * 9, (), ["'bad'", "9 tubes", "at most 8"]),
-    ],
-    ids=[
-        "no tubes",
-        "does not fit",
-        "no such tube",
-        "negative tube",
-        "moved twice",
-        "name twice",
-        "no such motion",
-        "too many tubes",
+        ((replace(TUBE, translation=-0.16),), (), ["'thin'", "ends at -10 mm", "the plate at 0 mm"]),
+        ((LONG, replace(WIDE, translation=-0.01)), (), ["'long'", "starts at 0 mm", "'wide' at -10 mm"]),
     ],
 )
 def test_an_invalid_robot_is_refused_by_name_value_and_bound(tubes, joints, words):
@@ -112,9 +99,7 @@ def test_an_invalid_robot_is_refused_by_name_value_and_bound(tubes, joints, word
         ([0.0, 0.0, math.nan], ["inner_translation", "nan", "number of m"]),
         ([math.inf, 0.0, -0.1], ["outer_rotation", "inf", "rad"]),
         ([0.0, 0.0, 0.001], ["'inner'", "1 mm", "'outer'", "0 mm"]),
-        ([0.0, 0.0, -0.1381], ["'inner'", "ends at 164.9 mm", "'outer'", "165 mm"]),
-        ([0.0, 0.0, -0.2], ["'inner'", "ends at 103 mm", "'outer'", "165 mm"]),
-        ([0.0, 0.0, -0.4], ["'inner'", "-97 mm", "165 mm"]),
+        ([0.0, 0.0, -0.4], ["'inner'", "-97 mm", "the plate at 0 mm"]),
         ([0.0, 0.0], ["(2,)", "'paper'", "(3,)"]),
         ([[0.0, 0.0, -0.1]], ["(1, 3)", "'paper'", "(3,)"]),
     ],
@@ -138,7 +123,17 @@ def test_a_proximal_end_in_front_of_the_plate_or_of_the_next_outer_tube_is_refus
             three_tubes.check_pose(np.array(joints))
 
 
-@pytest.mark.parametrize("translation", [0.0, -0.05, -0.1379, -0.138])
+@pytest.mark.parametrize(("straight", "curved"), [(0.1, 0.2), (0.1, 0.7), (0.15, 0.15), (0.3, 0.3), (0.7, 0.1)])
+def test_a_tube_may_be_retracted_to_the_plate_whatever_the_rounding_but_not_further(three_tubes, straight, curved):
+    outer = replace(three_tubes.tubes[2], sections=(Section(straight), Section(curved, (1.0, 0.0))))
+    robot = Robot("one", (outer,), (Joint("slide", 0, "translation"),))
+    for start in (-(straight + curved), -round(straight + curved, 6), np.nextafter(-(straight + curved), 0.0)):
+        robot.check_pose(np.array([start]))
+        with pytest.raises(PoseError, match=r"'c' ends at .* mm, but must not end behind the plate"):
+            robot.check_pose(np.array([start - 1e-8]))
+
+
+@pytest.mark.parametrize("translation", [0.0, -0.05, -0.138, -0.2, -0.303])
 def test_a_valid_pose_of_the_robot_is_accepted(paper_robot, translation):
     paper_robot.check_pose(np.array([0.0, 0.0, translation]))
 
@@ -166,30 +161,6 @@ def test_a_tube_without_joints_has_the_pose_of_the_robot_file():
     assert not robot.is_valid_pose(np.array([-0.03]))  # in front of the outer tube
 
 
-@pytest.mark.parametrize(
-    ("tubes", "words"),
-    [
-        (lambda: (replace(TUBE, translation=0.01),), ["'thin'", "translation 10 mm", "plate at 0 mm"]),
-        (lambda: (replace(TUBE, translation=math.nan),), ["'thin'", "translation nan mm"]),
-        (lambda: (replace(TUBE, rotation=math.inf),), ["'thin'", "rotation inf rad"]),
-        (lambda: (replace(TUBE, torsional_stiffness=0.0),), ["'thin'", "torsional_stiffness 0 N m^2"]),
-        (lambda: (replace(TUBE, translation=-0.16),), ["'thin'", "ends at -10 mm", "the plate at 0 mm"]),
-        (lambda: (LONG, replace(WIDE, translation=-0.01)), ["'long'", "starts at 0 mm", "'wide' at -10 mm"]),
-        (
-            lambda: (replace(TUBE, translation=-0.02), WIDE),
-            ["'thin'", "ends at 130 mm", "tube 'wide' at 150 mm"],
-        ),
-    ],
-    ids=["in front", "nan", "infinite turn", "no torsion", "inside the guide", "out of order", "hidden"],
-)
-def test_invalid_fixed_tubes_are_refused_in_the_description(tubes, words):
-    with pytest.raises(DescriptionError) as refused:
-        Robot("fixed", tubes(), ())
-
-    for word in words:
-        assert word in str(refused.value)
-
-
 class TestBase:
     def test_the_rotation_of_a_base_matches_its_vector(self):
         vector = np.array([0.4, -1.2, 0.7])
@@ -210,7 +181,7 @@ class TestBase:
         turn = Rotation.from_rotvec(vector).as_matrix()
         both = np.kron(np.eye(2), turn)
         moved = solver(replace(paper_robot, base=Base(tuple(position), vector)))
-        for joints, wrench in poses(seed=51, count=5, force=0.5, moment=0.02):
+        for joints, wrench in poses(seed=51, count=3, force=0.5, moment=0.02):
             here, there = solver(paper_robot).solve(joints, wrench), moved.solve(joints, both @ wrench)
             np.testing.assert_allclose(there.tip, turn @ here.tip + position, rtol=0, atol=1e-9)
             np.testing.assert_allclose(there.rotation, turn @ here.rotation, rtol=0, atol=1e-8)

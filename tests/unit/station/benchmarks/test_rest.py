@@ -7,7 +7,7 @@ import sys
 import psutil
 import pytest
 
-from station.benchmarks.bench import share_by_folder
+from station.benchmarks.headless import share_by_folder
 from station.benchmarks.rest import processes
 from station.config.strict import toml_lines
 

@@ -2,9 +2,11 @@
 
 import pytest
 
-from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES
+from station.calibration.catalogue import DEFAULT_WEIGHTS_N, PROCEDURES, known_weights
 from station.calibration.procedures import Effort
 from station.config.controllers import Present
+from station.config.robots import load_robot
+from station.config.strict import ConfigError
 
 
 def test_expected_duration_of_a_procedure_increases_with_weights_and_effort():
@@ -34,3 +36,13 @@ def test_procedures_name_the_device_that_a_bench_lacks():
 
 def test_effort_does_not_change_the_duration_of_a_fixed_procedure():
     assert PROCEDURES["axes"].expected(2.0, 2) == PROCEDURES["axes"].seconds
+
+
+def test_known_weights_are_lighter_for_a_soft_robot_and_heavier_ones_are_refused():
+    paper = load_robot("paper")
+    assert known_weights(paper) == (0.25, 0.5)
+    soft = paper.model_copy(update={"max_force": 0.2})
+    assert known_weights(soft) == (0.075, 0.15)
+    assert known_weights(soft, (0.2, 0.1)) == (0.2, 0.1)
+    with pytest.raises(ConfigError, match=r"weight of 0\.25 N is more than the 0\.2 N that 'paper' bears"):
+        known_weights(soft, (0.1, 0.25))

@@ -84,7 +84,7 @@ def test_tubes_are_calibrated_without_force_sensors_from_known_weights(subject, 
         assert new.bending_stiffness == pytest.approx(true.bending_stiffness, rel=0.02)
     assert result.held_out_loaded.after.mean() < 0.2e-3
     numbers = write_all(tmp_path, result, alone, PROVENANCE)
-    assert numbers["files"] == ["registration.toml", "robot.toml"]
+    assert numbers["files"] == ["registration.toml", "robot.toml", "described.toml"]
     BenchCalibration.load(tmp_path, subject.file)
 
 
@@ -174,12 +174,12 @@ def test_calibration_report_contains_its_figures_and_loads_no_other_files(folder
 def test_calibration_of_another_robot_is_refused(subject, folder):
     other = subject.file.model_copy(update={"name": "another"})
 
-    with pytest.raises(ConfigError, match="of robot 'paper', but the robot is 'another'"):
+    with pytest.raises(ConfigError, match="made for robot 'paper', but the robot is 'another'"):
         BenchCalibration.load(folder, other)
 
 
 def test_empty_calibration_folder_is_refused(subject, tmp_path):
-    with pytest.raises(ConfigError, match=r"none of registration\.toml, sensors\.toml, robot\.toml and cameras\.toml"):
+    with pytest.raises(ConfigError, match=r"none of registration\.toml, sensors\.toml, .* and cameras\.toml"):
         BenchCalibration.load(tmp_path, subject.file)
 
 
@@ -192,8 +192,8 @@ def test_procedure_tracker_reports_that_the_tubes_differ(subject):
     assert result.registration.rms > 0.2e-3
 
 
-@pytest.mark.parametrize("mirrored", [(), ("inner_rotation",), ("outer_rotation", "inner_translation")])
-def test_procedure_axes_finds_reversed_axes(subject, mirrored):
+def test_procedure_axes_finds_reversed_axes(subject):
+    mirrored = ("outer_rotation", "inner_translation")
     lab = load_lab("uncalibrated", subject.file)
     lab = lab.model_copy(update={"hidden": lab.hidden.model_copy(update={"mirrored": mirrored})})
 
@@ -201,18 +201,6 @@ def test_procedure_axes_finds_reversed_axes(subject, mirrored):
 
     names = [joint.name for joint in subject.robot.joints]
     assert [name for name, sign in zip(names, result.signs.signs, strict=True) if sign < 0.0] == list(mirrored)
-
-
-def test_static_lab_has_the_same_bench_for_the_same_seed(subject):
-    lab = load_lab("uncalibrated", subject.file)
-    first, second = (StaticLab(subject, lab, 7) for _ in range(2))
-
-    one, two = (bench.measure(START + 0.1, 0.5) for bench in (first, second))
-
-    np.testing.assert_array_equal(one.coil, two.coil)
-    np.testing.assert_array_equal(one.wrenches, two.wrenches)
-    assert first.true_robot == second.true_robot
-    assert StaticLab(subject, lab, 8).true_robot != first.true_robot
 
 
 def test_controller_of_an_experiment_uses_the_calibration(folder, found):
@@ -225,14 +213,6 @@ def test_controller_of_an_experiment_uses_the_calibration(folder, found):
     assert case.robot.tubes[0].bending_stiffness == 0.0413  # the lab's plant is not calibrated
     assert case.controller.corrections is not None
     assert case.registration is not None
-
-
-def test_effort_scales_the_number_of_poses():
-    effort = procedures.Effort()
-
-    assert effort.steps() == 28 + 2 * (20 + 6 + 8)
-    assert effort.scaled(0.5).unloaded == 14
-    assert replace(effort, check=0).steps() == 28 + 2 * 28
 
 
 def test_station_file_selects_the_calibration(folder, found, tmp_path):

@@ -16,7 +16,6 @@ from station.cli.main import main
 from station.devices.cameras import SIDE_POSE, CameraFile, LensFile, SimulationFile
 from station.devices.config import Mount
 from station.devices.projection import CameraView, true_view_of, view_of
-from station.service.station_file import load_station
 
 SIZE, SQUARE = (1280, 720), 0.020
 LENS = LensFile(focal=(1280.0, 1280.0), centre=(640.0, 360.0), distortion=(-0.05, 0.02, 0.0005, -0.0005, 0.0))
@@ -41,22 +40,18 @@ def true_views() -> tuple[CameraView, CameraView]:
     return first, second
 
 
+def seen(name: str, view: CameraView, pose: tuple[Array, Array], random: np.random.Generator) -> View:
+    """Return the corners of a board as a camera sees them, with an error of 0.05 pixels."""
+    pixels = view.project(corner_positions(SQUARE) @ pose[0].T + pose[1]) + random.normal(0.0, 0.05, (24, 2))
+    inside = ((pixels > 0.0) & (pixels < SIZE)).all(axis=1)
+    return View(name, np.flatnonzero(inside), pixels[inside])
+
+
 @pytest.fixture(scope="module")
-def pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return 24 pairs of pictures of a board, which is anywhere in the picture of one of the cameras."""
+def corners() -> tuple[list[View], list[View]]:
     random, views = np.random.default_rng(3), true_views()
-    found: tuple[list[np.ndarray], list[np.ndarray]] = [], []
-    for number in range(24):
-        pose = board_pose(views[number % 2], random, SQUARE)
-        for view, kept in zip(views, found, strict=True):
-            kept.append(picture(view, SIZE, SQUARE, *pose, random))
-    return found
-
-
-@pytest.fixture(scope="module")
-def corners(pictures: tuple[list[np.ndarray], list[np.ndarray]]) -> tuple[list[View], list[View]]:
-    finder = Corners()
-    first, second = ([View(str(n), *finder.find(one)) for n, one in enumerate(each)] for each in pictures)
+    poses = [board_pose(views[number % 2], random, SQUARE) for number in range(24)]
+    first, second = ([seen(str(n), view, pose, random) for n, pose in enumerate(poses)] for view in views)
     return first, second
 
 
@@ -121,12 +116,12 @@ def test_few_pictures_or_a_small_part_of_the_picture_or_no_tilt_are_refused(
         calibrate_lens([view for view in first if len(view.numbers) >= 8][:9], SIZE, SQUARE)
     with pytest.raises(CalibrationRefused, match=r"reached 1?[0-9] % of the picture"):
         calibrate_lens([view._replace(pixels=view.pixels / 8.0) for view in first], SIZE, SQUARE)
-    view, random, finder = true_views()[0], np.random.default_rng(5), Corners()
+    view, random = true_views()[0], np.random.default_rng(5)
     flat: list[View] = []
     for number in range(12):  # the board is parallel to the picture at one distance
         shift = np.array([0.03 * (number % 4) - 0.145, 0.03 * (number // 4) - 0.08, 0.4])
         pose = view.rotation.T, view.position + view.rotation.T @ shift
-        flat.append(View(str(number), *finder.find(picture(view, SIZE, SQUARE, *pose, random))))
+        flat.append(seen(str(number), view, pose, random))
     with pytest.raises(CalibrationRefused, match=r"tilt the board|reached"):
         calibrate_lens(flat, SIZE, SQUARE)
 
@@ -135,7 +130,7 @@ def test_pictures_that_were_not_taken_together_are_refused(corners: tuple[list[V
     first, second = corners
     lenses = LENS, LENS
     shifted = [view._replace(name=str((int(view.name) + 2) % 24)) for view in second]
-    with pytest.raises(CalibrationRefused, match="taken at the same time"):
+    with pytest.raises(CalibrationRefused, match="at the same time, and do not move"):
         calibrate_pair(first, shifted, lenses, SIZE, SQUARE)
     with pytest.raises(CalibrationRefused, match="0 pairs of pictures"):
         calibrate_pair(first, [view._replace(name="x" + view.name) for view in second], lenses, SIZE, SQUARE)
@@ -147,29 +142,6 @@ def test_the_printed_board_has_its_true_size() -> None:
     assert width == 7 * 30 + 24
     assert height == 5 * 30 + 24 + 18
     assert f"h{CHECK_MM}m" in text
-
-
-def test_the_command_writes_tables_that_a_station_reads(
-    pictures: tuple[list[np.ndarray], list[np.ndarray]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, each in zip(("left", "right"), pictures, strict=True):
-        (tmp_path / name).mkdir()
-        for number, one in enumerate(each):
-            cv2.imwrite(str(tmp_path / name / f"{number:02}.png"), one)
-    station, out = tmp_path / "station.toml", tmp_path / "cameras.toml"
-    station.write_text("[cameras.left]\n[cameras.left.pose]\nposition = [0.0, -0.4, 0.1]\n", encoding="utf-8")
-    folders = [f"{name}={tmp_path / name}" for name in ("left", "right")]
-    assert main(("cameras", "calibrate", *folders, "--square", "20", "--config", str(station), "--out", str(out))) == 0
-
-    printed = capsys.readouterr().out
-    assert "left and right:" in printed
-    assert "mm apart" in printed
-    station.write_text(out.read_text(), encoding="utf-8")
-    cameras = load_station(station).cameras
-    assert cameras["left"].lens is not None
-    assert cameras["left"].lens.focal[0] == pytest.approx(1283.84, rel=2e-3)
-    assert cameras["left"].pose == Mount(position=(0.0, -0.4, 0.1))
-    assert cameras["right"].pose is not None
 
 
 def test_the_command_names_an_empty_folder_and_a_missing_name(

@@ -1,7 +1,8 @@
-"""Videos as MCAP: what other readers decode, what a kill leaves, and the export as MP4."""
+"""Videos as MCAP: other readers decode them, a kill leaves them readable, and they are exported as MP4."""
 
 import contextlib
 import os
+from functools import cache
 from pathlib import Path
 
 import av
@@ -43,6 +44,7 @@ def tip_at(number: int) -> NDArray[np.float64]:
     return np.array([0.0006 * number - 0.03, 0.0, 0.12])
 
 
+@cache
 def pictures(robot: Robot, count: int) -> list[NDArray[np.uint8]]:
     """Return pictures of straight tubes whose tip moves down."""
     view = view_of(CAMERA)
@@ -57,10 +59,10 @@ def pictures(robot: Robot, count: int) -> list[NDArray[np.uint8]]:
     return [renderer.render(shape) for shape in shapes]
 
 
-@pytest.fixture
-def video(tmp_path: Path, paper_robot: Robot) -> Path:
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory, paper_robot: Robot) -> Path:
     """Return a video of 65 frames in the folder of a run."""
-    path = tmp_path / "run" / VIDEOS_FOLDER / "side.mcap"
+    path = tmp_path_factory.mktemp("video") / "run" / VIDEOS_FOLDER / "side.mcap"
     path.parent.parent.mkdir()
     writer = VideoWriter(path, "side", CAMERA, EPOCH)
     for number, picture in enumerate(pictures(paper_robot, 65)):

@@ -23,7 +23,7 @@ def test_calibration_without_a_working_pose_starts_at_the_middle_of_each_travel(
 def test_calibration_requests_a_working_pose_if_the_middle_of_the_travel_is_invalid():
     robot = load_robot("balanced_pair")
     joints = [j.model_copy(update={"lower": -0.2}) if j.name == "middle_translation" else j for j in robot.joints]
-    robot = robot.model_copy(update={"working_pose": None, "joints": tuple(joints)})
+    robot = robot.model_copy(update={"working_pose": None, "joints": tuple(joints), "ends_in_order": True})
 
     with pytest.raises(ConfigError, match=r"'balanced_pair' has no working_pose, and the middle of its travel is"):
         robot_start(robot)

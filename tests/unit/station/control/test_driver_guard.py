@@ -18,10 +18,11 @@ from core.errors import CtrError
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.robots import load_robot
 from station.control.clock import REAL_TIME_CLOCK
-from station.control.driver_guard import SLOW_CALL_S, DriverCalls, DriverError, driver_in_call, guard_drivers
+from station.control.driver_guard import SLOW_CALL_S, DriverCalls, driver_in_call, guard_drivers
 from station.control.monitors import OverrunLimits, Overruns
 from station.control.ring import Ring
 from station.devices.config import BenchFile
+from station.devices.guard import DriverError
 from station.devices.interfaces import Condition, Devices, JointReading, Severity, TipReading, WrenchReading
 
 PAPER = load_robot("paper")
@@ -128,7 +129,7 @@ VALUES = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @example(value=JointReading(np.zeros(2), np.zeros(3)))
 @example(value=JointReading(np.zeros(3), 0.0))  # type: ignore[arg-type]
 @example(value=TipReading(1, 0.0, np.zeros((3, 1))))

@@ -37,23 +37,17 @@ def test_ring_returns_the_latest_ground_truth_of_the_lab(ring: Ring) -> None:
         assert truth.force.tolist() == [-number] * 3
 
 
-def test_ground_truth_in_the_ring_contains_the_tip_direction(ring: Ring) -> None:
-    ring.publish_ground_truth(a_truth(1.0)._replace(direction=np.array([0.0, 0.6, 0.8])))
-    truth = ring.truth()
-    assert truth is not None
-    assert truth.direction is not None
-    assert truth.direction.tolist() == [0.0, 0.6, 0.8]
-
-
-def test_ground_truth_in_the_ring_contains_a_target_if_there_is_one(ring: Ring) -> None:
+def test_ground_truth_in_the_ring_contains_the_direction_and_the_target_if_there_are_any(ring: Ring) -> None:
     ring.publish_ground_truth(a_truth(1.0))
     alone = ring.truth()
-    ring.publish_ground_truth(a_truth(1.0)._replace(target=np.full(3, 7.0)))
+    ring.publish_ground_truth(a_truth(1.0)._replace(direction=np.array([0.0, 0.6, 0.8]), target=np.full(3, 7.0)))
     following = ring.truth()
     assert alone is not None
     assert alone.target is None
     assert following is not None
+    assert following.direction is not None
     assert following.target is not None
+    assert following.direction.tolist() == [0.0, 0.6, 0.8]
     assert following.target.tolist() == [7.0] * 3
 
 

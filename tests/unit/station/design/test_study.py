@@ -2,9 +2,9 @@
 
 import pytest
 
+from station.calibration.files import robot_text
 from station.config.robots import load_robot, robot_of
 from station.config.strict import ConfigError, preset_names
-from station.design.design_report import robot_text
 from station.design.study import load_study
 
 TEXT = """title = "one"
@@ -58,7 +58,7 @@ def test_a_written_robot_file_is_read_back_unchanged(name):
         ('"inner.sections.2.curvature"', '"inner.sections.3.length"', "tube 'inner' has the sections 1 ... 2"),
         ('"inner.sections.2.curvature"', '"inner.colour"', "is none of inner.bending_stiffness"),
         ("lower = 1.0", "lower = 9.0", "lower 9 is not below upper 9"),
-        ("curvature", "length", "length 9.15 m is beyond 5 m"),
+        ("curvature", "length", "tubes.0.sections.1.length = 9.0: Input should be less than or equal to 5"),
         ("[[0.5, 0.0, 0.0]]", "[[0.0, 0.0, 0.0]]", "one of the forces must be more than 0 N"),
         ('title = "one"', 'titel = "one"', "unknown key 'titel' (line 1)"),
         ("forces", "force", "unknown key 'task.force' (line 6)"),

@@ -11,7 +11,8 @@ from core.model.statics import Statics
 from station.cli.main import main
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
-from station.design.task import dexterity, spread_poses, stiffness
+from station.design.inverse_kinematics import spread_poses
+from station.design.task import dexterity, stiffness
 
 FORCE = np.array([0.3, 0.0, 0.1, 0.0, 0.0, 0.0])
 
@@ -69,13 +70,13 @@ def test_the_stiffness_is_that_of_the_exact_rod_in_its_softest_direction():
 
 
 def test_the_workspace_command_writes_numbers_poses_and_figures(tmp_path, capsys):
-    words = "workspace paper --force 0.5 0 -0.1 --poses 200 --json --data"
+    words = "workspace paper --force 0.5 0 -0.1 --poses 200 --data"
     assert main([*words.split(), str(tmp_path)]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["poses"], answer["without_shape"], answer["force_n"]) == (200, 0, [0.5, 0.0, -0.1])
     (folder,) = (tmp_path / "workspaces").iterdir()
-    assert answer["folder"] == str(folder)
-    assert json.loads((folder / "workspace.json").read_text()).items() <= answer.items()
+    text = " ".join(capsys.readouterr().out.split())
+    assert [word for word in ("[mm/s]", "[N/m]", "[1]", "cm^3") if word not in text] == []
+    answer = json.loads((folder / "workspace.json").read_text())
+    assert (answer["poses"], answer["without_shape"], answer["force_n"]) == (200, 0, [0.5, 0.0, -0.1])
     with (folder / "poses.csv").open() as file:
         rows = list(csv.DictReader(file))
     model = Statics(load_robot("paper").robot())
@@ -89,13 +90,6 @@ def test_the_workspace_command_writes_numbers_poses_and_figures(tmp_path, capsys
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/svg+xml") == 3
     assert "Workspace of &#x27;paper&#x27; under 0.5 / 0 / -0.1 N (x / y / z)" in page
-
-
-def test_the_workspace_table_has_units(tmp_path, capsys):
-    assert main(["workspace", "paper", "--poses", "20", "--out", str(tmp_path)]) == 0
-    text = " ".join(capsys.readouterr().out.split())
-    for unit in ("[mm/s]", "[N/m]", "[1]", "cm^3", "without load"):
-        assert unit in text
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,28 @@
 """Drivers are found by name: the built-in drivers, and an installed driver that connects to a real server."""
 
+import itertools
 import socket
 import threading
 import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.control.clock import REAL_TIME_CLOCK
 from station.devices import registry
 from station.devices.config import BenchFile
-from station.devices.interfaces import Condition, Severity, TipReading
-from station.devices.registry import emergency_stop, find, plan
+from station.devices.interfaces import Condition, NotStopped, Severity, TipReading
+from station.devices.registry import emergency_stop, find, plan, stages_latency
+from station.docs.examples.line_stages.line_stages import open_stages
 from station.service.station_file import load_station
+from tests.harness.entry_points import install_entry_points
+from tests.harness.imaginary_stages import DRIVER
 from tests.harness.own_devices import OWN_DEVICES
 
 
@@ -25,10 +31,7 @@ def install(tmp_path: Path, monkeypatch) -> Callable[..., None]:
     """Install a distribution whose entry points are drivers."""
 
     def install(entries: str, name: str = "my-bench") -> None:
-        folder = tmp_path / f"{name.replace('-', '_')}-1.0.dist-info"
-        folder.mkdir()
-        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n", encoding="utf-8")
-        (folder / "entry_points.txt").write_text(f"[ctr_station.devices]\n{entries}\n", encoding="utf-8")
+        install_entry_points(tmp_path, {"ctr_station.devices": dict([entries.split(" = ")])}, name)
         monkeypatch.syspath_prepend(str(tmp_path))
 
     return install
@@ -171,12 +174,67 @@ def test_custom_stages_provide_their_emergency_stop(install, paper):
     assert results[0].endswith("report that they have stopped")
 
 
+def test_installed_driver_on_the_kernel_is_one_record(install, paper):
+    install("imaginary = tests.harness.imaginary_stages:DRIVER")
+    table = {"driver": "imaginary", "port": "loop://"}
+    assert stages_latency(table, paper) == DRIVER.latency({"port": "loop://"}, paper)
+    stop, clock = emergency_stop(table, paper), SimpleNamespace(now=itertools.count().__next__, sleep=lambda _: None)
+    assert stop is not None
+    with pytest.raises(NotStopped, match="the stages on loop:// cannot be commanded to stop"):
+        stop(clock)
+    stages = find("stages", "imaginary")({"port": "loop://"}, paper)()
+    assert stages.condition is Condition.CLOSED
+    stages.close()
+    with pytest.raises(ConfigError, match=r"devices\.stages"):
+        find("stages", "imaginary")({}, paper)()
+
+
 def test_stages_without_an_emergency_stop_cause_a_warning_at_the_start(install, write):
     install("mute-stages = station.docs.examples.line_stages.line_stages:LineStages")
     path = write(OWN_DEVICES.replace('driver = "zaber"\nport = "/dev/ttyUSB0"', 'driver = "mute-stages"'))
     (warning,) = load_station(path).bench().warnings[:1]
     assert warning.startswith("nothing stops the stages of driver 'mute-stages' when the control process dies")
     assert "emergency stop" in warning
+
+
+@pytest.mark.parametrize(
+    ("stages", "expected"),
+    [
+        ({"driver": "zaber", "port": "a"}, (0.025, 0.012)),
+        ({"driver": "cia402", "port": "a"}, (0.004, 0.00063)),
+        ({"driver": "gcode", "dialect": "grbl", "port": "a"}, (0.010, 0.0232)),
+        ({"driver": "gcode", "dialect": "grbl", "port": "a", "baud": 1_000_000}, (0.010, 0.0265)),
+    ],
+)
+def test_built_in_driver_gives_the_latency_of_its_options(stages, expected, paper):
+    assert stages_latency(stages, paper) == pytest.approx(expected, abs=1e-4)
+
+
+def test_zaber_chain_has_an_interval_for_each_axis_and_the_longest_line_counts(paper):
+    assert stages_latency({"driver": "zaber", "port": "a"}, load_robot("three_tubes")) == (0.0438, 0.012)
+    ports = dict(zip([joint.name for joint in paper.joints], "aab", strict=True))
+    joints = {name: {"port": port, "device": i} for i, (name, port) in enumerate(ports.items(), 1)}
+    assert stages_latency({"driver": "zaber", "joints": joints}, paper) == (0.0188, 0.012)
+
+
+OWN_STAGES = {"driver": "line-stages", "host": "127.0.0.1", "port": 1}
+
+
+def test_custom_stages_may_give_their_latency(install, paper, monkeypatch):
+    install("line-stages = station.docs.examples.line_stages.line_stages:open_stages")
+    assert stages_latency(OWN_STAGES, paper) == (0.025, 0.012)  # as T-series stages on one line
+    monkeypatch.setattr(
+        open_stages, "latency", lambda options, robot: (1e-3 * options["port"], 2e-3 * len(robot.joints)), raising=False
+    )
+    assert stages_latency(OWN_STAGES, paper) == (0.001, 0.006)
+
+
+@pytest.mark.parametrize("latency", [lambda options, robot: (0.01, 2.0), lambda options, robot: 0.01, "10 ms"])
+def test_wrong_latency_of_custom_stages_names_their_driver(latency, install, paper, monkeypatch):
+    install("line-stages = station.docs.examples.line_stages.line_stages:open_stages")
+    monkeypatch.setattr(open_stages, "latency", latency, raising=False)
+    with pytest.raises(ConfigError, match=r"driver = 'line-stages' .*: its latency"):
+        stages_latency(OWN_STAGES, paper)
 
 
 README = Path(registry.__file__).with_name("README.md").read_text(encoding="utf-8")

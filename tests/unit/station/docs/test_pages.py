@@ -11,7 +11,6 @@ from station.cli.main import parser
 from station.config.strict import preset_names
 from station.devices.registry import plan
 from station.service.station_file import load_station
-from tests.harness.root import ROOT
 
 DOCS = Path(station.__file__).parent / "docs"
 PAGES = sorted([*DOCS.glob("*.md"), *DOCS.glob("pages/**/*.md")])
@@ -48,7 +47,7 @@ def test_every_command_of_a_guide_is_accepted_by_the_command_line(page: Path):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_link_and_source_file_of_a_guide_exists(page: Path):
+def test_every_link_and_heading_of_a_guide_exists(page: Path):
     text = page.read_text(encoding="utf-8")
     for link, heading in re.findall(r"\]\(([^)#\s]+)#?([^)\s]*)\)", text):
         there = (page.parent / link).resolve()
@@ -58,8 +57,6 @@ def test_every_link_and_source_file_of_a_guide_exists(page: Path):
         titles = [line.lstrip("#").strip() for line in there.read_text("utf-8").splitlines() if line.startswith("#")]
         headings = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
         assert heading in headings, f"{link}#{heading}"
-    for path in re.findall(r"`((?:core|station|tests|web)/[\w./]+)`", text):
-        assert (ROOT / path).exists(), path
 
 
 def test_station_files_of_the_student_guide_describe_a_bench(tmp_path: Path):

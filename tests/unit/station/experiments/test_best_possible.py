@@ -1,4 +1,4 @@
-"""The bound of a case, compared with the deflection of the true robot."""
+"""The best possible error of a case is compared with the deflection of the true robot."""
 
 import math
 
@@ -130,12 +130,6 @@ def test_best_path_has_an_error_of_half_a_target_jump_before_and_after_it(rod):
     assert best.largest == pytest.approx(0.5 * (0.008 - SPEED * 0.02), rel=5e-3)
 
 
-def test_best_path_reaches_a_target_within_reach_without_error(rod):
-    times = np.linspace(0.0, 10.0, 101)
-    height = 0.010 * np.sin(2.0 * np.pi * times / 20.0) ** 2
-    assert best_path(rod, LIMITS, START, STILL, along_z(rod, times, height)).largest < 2e-5
-
-
 def test_best_path_to_a_target_beyond_the_travel_has_the_remaining_distance_as_error(rod):
     times = np.linspace(0.0, 8.0, 81)
     best = best_path(rod, LIMITS, START, STILL, along_z(rod, times, np.minimum(0.006 * times, 0.045)))
@@ -188,12 +182,12 @@ def deflection(model: Statics) -> float:
 
 
 def test_hindsight_bound_decreases_for_slower_loads(model):
-    slow, medium, fast, step = (
-        best_path(model, PAPER, POSE, np.zeros(3), ramp(model, rise, max(2.0 * rise, 1.0))).largest
-        for rise in (20.0, 1.5, 0.5, 0.0)
+    slow, fast, step = (
+        best_path(model, PAPER, POSE, np.zeros(3), ramp(model, rise, max(2.0 * rise, 1.0), 61)).largest
+        for rise in (20.0, 0.5, 0.0)
     )
 
-    assert slow < 1e-4 < medium < fast < step
+    assert slow < 1e-4 < fast < step
     assert step == pytest.approx(deflection(model), rel=1e-6)
 
 
@@ -220,7 +214,7 @@ def test_no_random_path_next_to_the_best_path_is_better(model):
     _, _, speed, most, _ = PAPER.packed
     rng, dt = np.random.default_rng(3), course.times[1]
     rates = np.diff(best.joints, axis=0) / dt
-    for _ in range(30):
+    for _ in range(12):
         # All joints get a bump that lasts a tenth to a half of the time; a path that violates a limit is not used.
         middle, width = rng.uniform(0.0, 1.0), rng.uniform(0.1, 0.5)
         bump = np.exp(-(((course.times[1:] / 1.4 - middle) / width) ** 2))

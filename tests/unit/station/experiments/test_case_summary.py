@@ -1,13 +1,11 @@
-"""The summary of a case has numbers in the page's units."""
-
-import re
+"""The summary of a case in the units of the page."""
 
 import pytest
 
 from station.config.controllers import ControllerFile
 from station.config.loads import HungWeightLoad, NoLoad, RampLoad, TapLoad, TrapezoidLoad, WallLoad
 from station.config.motions import CircleMotion, JointSweepMotion, StepMotion, WaypointsMotion
-from station.config.strict import Strict, preset_names
+from station.config.strict import Strict
 from station.experiments.case_summary import (
     case_facts,
     describe_controller,
@@ -16,7 +14,6 @@ from station.experiments.case_summary import (
     motion_title,
     window_name,
 )
-from station.experiments.experiment import offered_experiment
 from station.lab.faults import LabFault
 from tests.harness.cases import a_case
 
@@ -89,18 +86,10 @@ def test_case_facts_describe_every_part_of_a_case():
         "motion": "sinusoid: along z, amplitude 10 mm, frequency 0.05 Hz",
         "load": "raised cosine: along x, peak 0.5 N, period 20 s",
         "control": "dual layer, inner type 1, feedback tracker, k1 2.5 1/s, k2 2.5 1/s",
+        "model": "the paper's integrator, sub-links of 10 mm",
         "duration": "200 s, errors count from 0 s on",
         "start pose": "outer rotation 0 °, inner rotation 90 °, inner translation -100 mm",
     }
-
-
-@pytest.mark.parametrize("name", preset_names("experiments"))
-def test_every_case_of_every_experiment_preset_has_a_summary(name: str):
-    for case in offered_experiment(name).cases:
-        for fact in case_facts(case):
-            assert "_" not in re.sub(r"'[^']*'", "", fact.text)  # except in names of files
-            assert "{" not in fact.text
-            assert "None" not in fact.text
 
 
 LIFTED = TrapezoidLoad(magnitude=0.5, rise=1.0, stay=4.0, fall=0.5, start=2.0)

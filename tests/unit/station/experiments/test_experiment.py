@@ -6,6 +6,7 @@ import pytest
 
 from station.config.strict import EXPERIMENTS_VARIABLE, ConfigError
 from station.experiments.experiment import load_experiment, offered_experiment
+from station.lab.simulated_stages import lab_latency
 
 
 @pytest.mark.parametrize(
@@ -37,7 +38,11 @@ from station.experiments.experiment import load_experiment, offered_experiment
             "inner_translation 0 m is outside -0.13 ... -0.005 m",
         ),
         ('kind = "hold"', 'kind = "hold"\n[load]\nkind = "constant"\nmagnitude = -1', "load.magnitude = -1: "),
-        ('kind = "hold"', 'kind = "hold"\n[controller]\nstrategy = "magic"', "strategy 'magic' is unknown"),
+        (
+            'kind = "hold"',
+            'kind = "hold"\n[controller]\nstrategy = "magic"',
+            "controller.strategy = 'magic' is not one of",
+        ),
         ('kind = "hold"', 'kind = "hold"\n[controller]\nk1 = nan', "controller.k1 = nan: "),
         ('kind = "hold"', 'kind = "hold"\n[controller]\nk1 = 51.0', "K1 = 51 1/s is outside 0 ... 50 1/s"),
         ('kind = "hold"', 'kind = "hold"\n[controller]\nk3 = 1.0', "unknown key 'controller.k3'"),
@@ -80,7 +85,7 @@ def test_an_experiment_with_an_invalid_robot_or_lab_is_refused_naming_the_invali
     robot = write(robot_text.replace("bending_stiffness = 0.048", "bending_stiffness = -0.048"), "robot")
     lab = write("[tracker]\nrate = 0.0\n", "lab")
 
-    with pytest.raises(ConfigError, match=r"robot\.toml: tube 'outer': bending_stiffness -0\.048 N m\^2 must be "):
+    with pytest.raises(ConfigError, match=r"robot\.toml: tubes\.1\.bending_stiffness = -0\.048: Input should"):
         load_experiment(str(write(f'robot = "{robot}"\n' + short)))
     with pytest.raises(ConfigError, match=r"lab\.toml: tracker\.rate = 0\.0: Input should be greater than 0"):
         load_experiment(str(write(f'lab = "{lab}"\n' + short)))
@@ -121,7 +126,7 @@ def test_faults_in_an_experiment_file_are_read_into_the_case(write, short):
     ("text", "message"),
     [
         (FAULT.format("stall", "elbow"), "faults.0.device = 'elbow': expected one of stages, tracker, sensors"),
-        (FAULT.format("stall", "tracker"), "faults.0.kind = 'stall': 'tracker' cannot have it"),
+        (FAULT.format("stall", "tracker"), "faults.0.kind = 'stall': 'tracker' can have only the faults"),
         (FAULT.format("explode", "tracker"), "faults.0.kind = 'explode'"),
         (FAULT.format("restart", "tracker"), "'restart' happens at once"),
     ],
@@ -208,3 +213,9 @@ def test_description_of_an_experiment_does_not_check_its_motions(short, write):
         load_experiment(str(path))
     (case,) = load_experiment(str(path), check_motions=False).cases
     assert case.file.trajectory.kind == "circle"
+
+
+def test_controller_of_an_experiment_plans_for_the_latency_of_the_stages_in_its_lab():
+    for case in offered_experiment("stages", check_motions=False).cases:
+        actuation = case.controller.estimator.actuation
+        assert (actuation.command_interval, actuation.transport_delay) == lab_latency(case.lab.stages, case.robot)

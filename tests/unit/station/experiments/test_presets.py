@@ -1,6 +1,7 @@
 """The experiment presets have the agreed poses, motions, loads, controllers and durations."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import pytest
 from core.control.controllers import PositionMode, VelocityMode, loaded, type_1, type_2, unloaded
 from core.control.trajectories import JointMotion, Setpoint
 from station.config.strict import preset_names
+from station.experiments.case_summary import case_facts
 from station.experiments.experiment import Case, offered_experiment
-from station.lab.config import LabConfig, load_lab
+from station.lab.config import load_lab
 from tests.harness.cases import a_case
 
 #: By name of the preset: duration [s], settling time [s] and names of the cases.
@@ -29,12 +31,8 @@ def desired(case: Case, time: float) -> np.ndarray:
     return order.position
 
 
-def test_every_agreed_experiment_has_a_preset_file():
-    assert set(AGREED) <= set(preset_names("experiments"))
-
-
 @pytest.mark.parametrize("name", preset_names("experiments"))
-def test_every_experiment_preset_passes_all_checks_and_starts_at_the_agreed_pose(name):
+def test_every_experiment_preset_passes_all_checks_starts_at_the_agreed_pose_and_has_a_summary(name):
     experiment = offered_experiment(name)
 
     assert experiment.name == name
@@ -45,6 +43,10 @@ def test_every_experiment_preset_passes_all_checks_and_starts_at_the_agreed_pose
         else:
             assert case.start == pytest.approx([0.0, math.pi / 2.0, -0.100])
             assert case.robot.name == "paper"
+        for fact in case_facts(case):
+            assert "_" not in re.sub(r"'[^']*'", "", fact.text)  # except in names of files
+            assert "{" not in fact.text
+            assert "None" not in fact.text
 
 
 @pytest.mark.parametrize("name", AGREED)
@@ -57,19 +59,12 @@ def test_an_experiment_preset_has_the_agreed_cases_and_duration(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "amplitude"), [("fig3", 0.015), ("fig4", 0.015), ("fig10", 0.010)]
+    ("name", "amplitude"), [("fig3", 0.015), ("fig4", 0.015), ("fig10", 0.010), ("fig7", 0.0), ("fig8", 0.0)]
 )  # all these sinusoids are along z with 0.05 Hz
-def test_in_the_tracking_experiments_the_tip_follows_a_sinusoid_along_z(name, amplitude):
+def test_the_tip_follows_a_sinusoid_along_z_or_holds_its_position(name, amplitude):
     for case in offered_experiment(name).cases:
         for time, z in {0.0: 0.0, 5.0: amplitude, 10.0: 0.0, 15.0: -amplitude, 25.0: amplitude}.items():
             assert desired(case, time) == pytest.approx([0.0, 0.0, z], abs=1e-12)
-
-
-@pytest.mark.parametrize("name", ["fig7", "fig8"])
-def test_in_the_regulation_experiments_the_desired_tip_position_is_constant(name):
-    for case in offered_experiment(name).cases:
-        assert not desired(case, 0.0).any()
-        assert not desired(case, 17.0).any()
 
 
 def test_the_fig6_preset_rotates_the_outer_tube_once_at_3_degrees_a_second():
@@ -114,7 +109,7 @@ def test_the_simulations_of_the_paper_use_and_name_the_nominal_rod_and_ideal_dev
             plant = case.lab.plant
             assert "ideal" in case.lab.title
             assert (dict(plant.tubes), dict(plant.play), plant.vary) == ({}, {}, 0.0)
-            assert {tube.poisson_ratio for tube in case.robot.tubes} == {plant.poisson_ratio}
+            assert plant.poisson_ratio == "described"
             assert (plant.friction_force, plant.friction_moment) == (0.0, 0.0)
             assert case.lab.devices == "ideal"
 
@@ -130,22 +125,6 @@ def test_the_experiments_of_the_paper_differ_from_the_default_lab_only_in_the_tr
             assert case.lab.sensors == default.sensors
             assert case.lab.tracker == (bent if distorted else default.tracker)
             assert (case.lab.title == default.title) is not distorted
-
-
-def test_the_default_lab_has_the_agreed_numbers():
-    lab = LabConfig()
-
-    assert lab.devices == "wire"
-    assert (lab.tracker.rate, lab.tracker.latency, lab.tracker.noise) == (40.0, 0.024, 0.1e-3)
-    assert (lab.sensors.force_noise, lab.sensors.moment_noise) == (0.02, 0.2e-3)
-    assert lab.sensors.drift == pytest.approx(0.005 / 60.0)
-    assert (lab.plant.friction_force, lab.plant.friction_moment) == (0.05, 0.5e-3)
-    assert lab.plant.play == {"inner_rotation": pytest.approx(math.radians(0.1))}
-    assert lab.plant.poisson_ratio == 0.35
-    assert {name: (error.stiffness, error.curvature) for name, error in lab.plant.tubes.items()} == {
-        "inner": (-0.05, -0.03),
-        "outer": (0.04, 0.02),
-    }
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """Settings of a sweep from `--set` options."""
 
+import math
+
 import pytest
 
 from station.config.strict import ConfigError
@@ -25,6 +27,10 @@ def test_sweep_settings_combine_all_values_in_the_given_order():
         ('a="x, y",z', ["x, y", "z"]),
         ("a=my-lab,labs/own.toml", ["my-lab", "labs/own.toml"]),
         ("a={ kind = 'hold' }", [{"kind": "hold"}]),
+        (
+            'a=inf,"not a, word",-1e-3,dual_layer,[x, -inf]',
+            [math.inf, "not a, word", -1e-3, "dual_layer", ["x", -math.inf]],
+        ),
     ],
 )
 def test_values_of_set_options_are_toml_and_words_need_no_quotes(option, values):
@@ -36,8 +42,9 @@ def test_values_of_set_options_are_toml_and_words_need_no_quotes(option, values)
     [
         (["controller.k1"], "write KEY=VALUE"),
         (["=1"], "write KEY=VALUE"),
-        (["a=1,,2"], "a value is missing between the commas"),
-        (["a=1 2"], "'1 2' is not a TOML value"),
+        (["a="], "write KEY=VALUE"),
+        (["a=1,,2"], "'1,,2' is not a list of TOML values"),
+        (["a=1 2"], "'1 2' is not a list of TOML values"),
         (["a=1", "a=2"], "'a' is set twice"),
     ],
 )

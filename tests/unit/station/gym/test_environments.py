@@ -13,7 +13,6 @@ from gymnasium.vector import SyncVectorEnv
 import station.gym
 from core.model.cosserat import ExactRod
 from core.model.statics import Statics
-from core.robot.limits import TubeOrder
 from station.config.robots import load_robot
 from station.config.strict import ConfigError
 from station.gym.bodies import Actions, EpisodeSettings, RobotBatch
@@ -103,22 +102,6 @@ def test_joints_stay_in_their_travel_and_tubes_in_their_order(robot):
     assert ends[:, ~bodies.slides].all()
     assert robot != "paper" or ends.all()
     assert np.abs(bodies.stride - limits.speed).max() == 0.0
-
-
-def test_preset_three_tubes_limits_the_order_of_its_tubes():
-    assert any(isinstance(limit, TubeOrder) for limit in load_robot("three_tubes").limits().others)
-
-
-def test_rewards_computed_in_a_batch_equal_single_rewards():
-    random = np.random.default_rng(0)
-    tips, goals = random.uniform(-0.1, 0.1, (2, 50, 3))
-    goals[:20] = tips[:20] + random.uniform(-8e-4, 8e-4, (20, 3))
-    for reward in ("sparse", "dense"):
-        env = ReachEnv(reward=reward)
-        together = env.compute_reward(tips, goals, {})
-        alone = [env.compute_reward(tip, goal, {}) for tip, goal in zip(tips, goals, strict=True)]
-        assert together.tolist() == alone
-    assert set(ReachEnv().compute_reward(tips, goals, {}).tolist()) == {-1.0, 0.0}
 
 
 def test_reward_of_a_step_matches_its_observation():

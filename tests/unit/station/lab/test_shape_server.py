@@ -50,7 +50,7 @@ def test_shape_ends_at_the_true_tip_and_its_tangents_follow_its_positions(
 
 
 def test_smooth_shape_equals_that_of_the_exact_rod_with_small_steps(paper_robot: Robot) -> None:
-    ideal = PlantConfig(tubes={}, poisson_ratio=None, play={}, step=0.002)
+    ideal = PlantConfig(tubes={}, poisson_ratio="described", play={}, step=0.002)
     plant = true_plant(paper_robot, ideal, np.random.default_rng(0), JOINTS)
     plant.advance(JOINTS, FORCE)
 

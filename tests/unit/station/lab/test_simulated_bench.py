@@ -8,7 +8,7 @@ from station.lab.config import LabConfig, TargetConfig
 from station.lab.simulated_bench import MovingTarget
 
 TIP = np.array([0.01, 0.02, 0.15])
-TIMES = np.arange(0.0, 240.0, 0.02)
+TIMES = np.arange(0.0, 240.0, 0.05)
 
 
 def displacements(seed: int = 0, **changes: Any) -> np.ndarray:
@@ -22,16 +22,15 @@ def beats(along: np.ndarray) -> float:
     return float(np.count_nonzero((along[:-1] < 0.0) & (along[1:] >= 0.0))) / TIMES[-1]
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_moving_target_breathes_along_a_line_from_the_seed(seed):
-    moved = displacements(seed, heartbeat=0.0, breathing_second=0.0)
+def test_moving_target_breathes_along_a_line_from_the_seed():
+    moved = displacements(heartbeat=0.0, breathing_second=0.0)
     _, sizes, lines = np.linalg.svd(moved, full_matrices=False)
 
     assert sizes[1] < 1e-9 * sizes[0]
     along = moved @ lines[0]
     assert np.abs(along).max() == pytest.approx(5e-3 * 1.1, rel=0.01)  # the amplitude drifts by up to a tenth
     assert beats(along) == pytest.approx(0.25, abs=0.01)
-    assert abs(lines[0] @ np.linalg.svd(displacements(seed + 10))[2][0]) < 0.999
+    assert abs(lines[0] @ np.linalg.svd(displacements(10)[:200])[2][0]) < 0.999
 
 
 def test_heartbeat_moves_the_target_along_a_second_line():

@@ -28,8 +28,9 @@ def natural_compliance(normal, newton=0.02):
     return float((tips[0] - tips[1]) @ normal) / (2.0 * newton)
 
 
-@pytest.mark.parametrize("stiffness", [30.0, 300.0, 1000.0, 1e5])
-@pytest.mark.parametrize("normal", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize(
+    ("stiffness", "normal"), [(30.0, (1.0, 0.0, 0.0)), (1000.0, (0.0, -1.0, 0.0)), (1e5, (0.0, 0.0, -1.0))]
+)
 def test_wall_that_has_moved_into_the_tip_balances_the_tubes_as_a_spring_in_series(stiffness, normal):
     pressed = 1e-4
     loaded = LoadedPlant(plant())
@@ -48,12 +49,12 @@ def test_force_of_every_tick_is_that_of_the_wall_at_the_true_tip_while_the_robot
     start = loaded.advance(START, 0.0).truth.tip
     loaded.apply(wall, 0.0)
     touched = 0
-    for tick in range(400):
-        truth = loaded.advance(START + np.array([0.0, 0.0, 5e-3 * tick * PERIOD]), tick * PERIOD).truth
+    for tick in range(200):
+        truth = loaded.advance(START + np.array([0.0, 0.0, 1e-2 * tick * PERIOD]), tick * PERIOD).truth
         depth = float(truth.tip[2] - start[2]) - wall.distance
         assert truth.force == pytest.approx([0.0, 0.0, -1000.0 * max(depth, 0.0)], abs=2e-5)
         touched += depth > 0.0
-    assert touched > 100
+    assert touched > 50
 
 
 @pytest.mark.parametrize("stiffness", [100.0, 1e4])

@@ -6,8 +6,8 @@ from mcap.records import Schema
 from mcap_ros1.decoder import DecoderFactory
 
 from station.control.telemetry import Channel
-from station.recording.data_section import MESSAGE_HEADER_BYTES, Rounding, RowFormat, message_records
 from station.recording.data_section import TELEMETRY_SCHEMA as SCHEMA
+from station.recording.data_section import Rounding, RowFormat
 
 
 def decoded(rows: RowFormat, row: np.ndarray) -> object:
@@ -64,27 +64,3 @@ def test_rounding_of_a_recording_does_not_change_the_given_rows(channels):
 
     assert (rows == 1.0 / 3.0).all()
     assert 0.0 < abs(channels.of(rounded, "force")[0, 0] - 1.0 / 3.0) <= 2.0**-15
-
-
-def test_rows_of_a_wrong_length_or_type_are_refused(channels):
-    rows = RowFormat(channels.all)
-    with pytest.raises(ValueError, match="buffer size"):
-        rows.unpack(b"\0" * (rows.dtype.itemsize + 1))
-    with pytest.raises(ValueError, match="types"):
-        RowFormat(channels.all, ["float16"] * len(channels))
-
-
-def test_message_records_have_the_layout_of_mcap():
-    rows = np.array([[0.5, -1.0], [np.pi, 1e300]])
-    packed = RowFormat([Channel("a", ""), Channel("b", "")]).pack(rows)
-    made = message_records(packed, np.array([7, 9], np.uint64), topic=3, first=40)
-    size = MESSAGE_HEADER_BYTES + 16
-
-    assert made.offsets.tolist() == [0, size]
-    for number, record in enumerate((made.records[:size], made.records[size:])):
-        assert record[0] == 5  # opcode of a message
-        assert int.from_bytes(record[1:9], "little") == size - 9
-        assert int.from_bytes(record[9:11], "little") == 3
-        assert int.from_bytes(record[11:15], "little") == 40 + number
-        assert int.from_bytes(record[15:23], "little") == int.from_bytes(record[23:31], "little") == (7, 9)[number]
-        assert np.frombuffer(record[31:], "<f8").tolist() == rows[number].tolist()

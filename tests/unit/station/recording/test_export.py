@@ -9,7 +9,7 @@ from pyarrow import parquet
 from scipy.io import loadmat
 
 from station.control.telemetry import Channel
-from station.recording.export import ROW_GROUP_ROWS, export_case, export_run, matlab_names
+from station.recording.export import ROW_GROUP_ROWS, Choice, export_case, export_run, matlab_names
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import CaseWriter
 from tests.harness.recordings import as_recorded
@@ -43,6 +43,28 @@ def test_an_exported_csv_file_reads_back_to_the_same_numbers_with_units_in_the_h
     assert header == ["motion_time [s]", *(channel.column for channel in channels.all)]
     assert {"time [s]", "joints.inner_translation [m]", "wrench_raw.outer_mz [N m]", "tip_true.x [m]"} <= set(header)
     assert same(lines, rows)
+
+
+def test_an_export_has_the_chosen_fields_and_every_fifth_row_at_a_hundred_a_second(run, rows, channels):
+    (path,) = export_run(run, "csv", None, choice=Choice(("tip_measured", "force.x"), 100.0))
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *lines = csv.reader(file)
+
+    assert header == ["motion_time [s]", "force.x [N]", *(f"tip_measured.{axis} [m]" for axis in "xyz")]
+    names = [channel.name for channel in channels.all]
+    kept = [names.index("force.x"), *(names.index(f"tip_measured.{axis}") for axis in "xyz")]
+    assert same(lines, rows[::5][:, kept])
+
+
+@pytest.mark.parametrize(("rate", "stride"), [(500.0, 1), (499.0, 2), (250.0, 2), (100.0, 5), (40.0, 13), (0.1, 5000)])
+def test_an_export_never_has_more_rows_a_second_than_asked_for(rate, stride):
+    assert Choice(rate=rate).stride == stride
+
+
+def test_a_field_that_was_not_recorded_is_refused_with_the_fields_there_are(run):
+    with pytest.raises(RecordingError, match=r"has no 'tip_meazured'; its fields are: time, .*tip_measured"):
+        export_run(run, "csv", None, choice=Choice(("force", "tip_meazured")))
+    assert not list(run.glob("*.csv*"))
 
 
 def test_an_exported_parquet_file_has_the_columns_the_units_and_the_label(run, rows, channels):
@@ -98,7 +120,7 @@ def test_matlab_names_are_valid_and_unique():
 def test_an_export_of_one_case_is_a_file_and_of_several_a_folder(run, recorded, make_rows, tmp_path):
     assert export_run(run, "csv", tmp_path / "deep" / "x.csv") == [tmp_path / "deep" / "x.csv"]
     recorded(make_rows(5), "two")
-    with pytest.raises(RecordingError, match="one file for the cases one, two; give a folder or --case"):
+    with pytest.raises(RecordingError, match="one file cannot have the cases one, two; give a folder or --case"):
         export_run(run, "csv", tmp_path / "x.csv")
     assert export_run(run, "csv", tmp_path / "out") == [tmp_path / "out" / "one.csv", tmp_path / "out" / "two.csv"]
     assert export_run(run, "csv", tmp_path / "x.csv", case="two") == [tmp_path / "x.csv"]
@@ -116,13 +138,6 @@ def test_the_motion_time_counts_from_the_start_that_the_summary_states(run, rows
     (run / "summary.json").write_text("[]")
     with pytest.raises(RecordingError, match="cannot read the start of the motion of 'one'"):
         export_run(run, "csv", None)
-
-
-def test_the_progress_of_an_export_rises_with_every_block(run):
-    reported: list[tuple[str, float]] = []
-    export_run(run, "csv", None, lambda case, part: reported.append((case, part)))
-
-    assert reported == [("one", pytest.approx(100 / 230)), ("one", pytest.approx(200 / 230)), ("one", 1.0)]
 
 
 def test_parquet_without_pyarrow_is_refused_with_the_install_command(run, monkeypatch):

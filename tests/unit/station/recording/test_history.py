@@ -1,11 +1,14 @@
-"""Stored runs."""
+"""The history of stored runs."""
 
+import json
+import multiprocessing
 import os
 import time
 
 import pytest
 
-from station.recording.history import MAX_NOTES_CHARS, TRASH, TRASH_SPAN_S, RunError, RunHistory, resolve_run
+from station.recording.deletion import RECORD_FILE, TRASH, TRASH_SPAN_S
+from station.recording.history import MAX_NOTES_CHARS, NOTES_FILE, RunError, RunHistory, resolve_run
 from station.recording.run_folder import RunFolder
 
 
@@ -41,8 +44,9 @@ def test_stored_runs_are_filtered_by_experiment_label_and_text(history):
     assert ids(history.runs(experiment="fig7")) == ["second", "first"]
     assert ids(history.runs(experiment="fig7", label="complete")) == ["first"]
     assert ids(history.runs(text="TITLE 1")) == ["third"]
-    history.annotate("second", notes="The coil was loose.")
+    history.annotate("second", notes="The coil was loose.", tags=["morning"])
     assert ids(history.runs(text="loose")) == ["second"]
+    assert ids(history.runs(text="MORNING")) == ["second"]
     assert ids(history.runs(text="fig7 loose")) == []
 
 
@@ -50,11 +54,6 @@ def test_a_missing_folder_of_runs_has_no_runs(tmp_path):
     assert RunHistory(tmp_path / "none").runs() == []
     with pytest.raises(RunError, match="the folder has no runs yet"):
         RunHistory(tmp_path / "none").find("latest")
-
-
-def test_latest_is_the_newest_run_and_other_names_are_found(history, tmp_path):
-    assert history.find("latest").name == "third"
-    assert history.find("second").name == "second"
 
 
 def test_a_run_with_a_start_in_the_future_is_not_the_latest(history, tmp_path):
@@ -84,6 +83,8 @@ def test_notes_about_a_run_are_stored_and_replaced(history):
     with pytest.raises(RunError, match=f"at most {MAX_NOTES_CHARS}"):
         history.annotate("first", notes="x" * (MAX_NOTES_CHARS + 1))
     assert history.run("first").notes == "zwei äöü\n"
+    assert history.annotate("first", title="my circle").title == "my circle"
+    assert history.annotate("first", title="").title == "Title 0"  # the recorded title
 
 
 def test_a_run_is_deleted_only_when_its_name_is_confirmed(history):
@@ -96,45 +97,99 @@ def test_a_run_is_deleted_only_when_its_name_is_confirmed(history):
     assert ids(history.runs()) == ["third", "second"]
 
 
-def test_a_deleted_run_is_restored_with_everything(history):
+def test_a_deleted_run_is_restored_with_everything(history, tmp_path):
     before = history.annotate("first", notes="one", tags=["coil 2"])
     history.delete("first", "first")
     assert ids(history.deleted().runs()) == ["first"]
     with pytest.raises(RunError, match="not one of the runs"):
         history.find("first")
     assert history.restore("first") == before
+    assert not (tmp_path / "runs" / "first" / RECORD_FILE).exists()
     assert ids(history.deleted().runs()) == []
     assert history.recording("first").name == "regulation.mcap"
 
 
-def test_a_deletion_removes_runs_that_were_deleted_more_than_a_day_ago(history, tmp_path):
+def make_older(folder, span):
+    """Change the record of a deletion as if the run had been deleted `span` [s] earlier, in the same boot."""
+    record = json.loads((folder / RECORD_FILE).read_text())
+    changes = {key: record[key] - span for key in ("time", "since_boot")}
+    (folder / RECORD_FILE).write_text(json.dumps(record | changes))
+
+
+def test_a_deletion_and_a_purge_remove_runs_that_were_deleted_more_than_a_day_ago(history, tmp_path):
     history.delete("first", "first")
     history.delete("second", "second")
-    yesterday = time.time() - TRASH_SPAN_S - 60.0
-    os.utime(tmp_path / "runs" / TRASH / "first", (yesterday, yesterday))
+    make_older(tmp_path / "runs" / TRASH / "first", TRASH_SPAN_S + 60.0)
     history.delete("third", "third")
     assert ids(history.deleted().runs()) == ["third", "second"]
-
-
-def test_a_purge_removes_only_runs_that_were_deleted_more_than_a_day_ago(history, tmp_path):
-    history.purge()  # without deleted runs
-    long_ago = time.time() - 30.0 * TRASH_SPAN_S
-    os.utime(tmp_path / "runs" / "second", (long_ago, long_ago))  # an old run whose deletion is new
-    history.delete("first", "first")
-    history.delete("second", "second")
-    os.utime(tmp_path / "runs" / TRASH / "first", (long_ago, long_ago))
+    make_older(tmp_path / "runs" / TRASH / "second", 30.0 * TRASH_SPAN_S)
     history.purge()
-    assert ids(history.deleted().runs()) == ["second"]
-    assert ids(history.runs()) == ["third"]
+    assert ids(history.deleted().runs()) == ["third"]
 
 
-def test_title_star_and_tags_of_a_run_are_stored_one_by_one(history):
-    assert history.annotate("first", title="my circle").title == "my circle"
-    assert history.annotate("first", starred=True).starred
-    run = history.annotate("first", tags=["coil 2", "morning"])
-    assert (run.title, run.starred, run.tags, run.notes) == ("my circle", True, ("coil 2", "morning"), "")
-    assert ids(history.runs(text="MORNING")) == ["first"]
-    assert history.annotate("first", title="").title == "Title 0"  # the recorded title
+def test_a_linked_trash_is_neither_used_nor_emptied(history, tmp_path):
+    other = tmp_path / "other"
+    history.delete("first", "first")
+    make_older(tmp_path / "runs" / TRASH / "first", 30.0 * TRASH_SPAN_S)
+    (tmp_path / "runs" / TRASH).rename(other)
+    (tmp_path / "runs" / TRASH).symlink_to(other)
+    history.purge()
+    assert history.deleted().runs() == []
+    with pytest.raises(RunError, match="'deleted' is a link or a file, not a folder"):
+        history.delete("second", "second")
+    assert sorted(path.name for path in other.iterdir()) == ["first"]
+    assert ids(history.runs()) == ["third", "second"]
+
+
+def test_a_deleted_run_is_not_restored_over_another_run(history, tmp_path):
+    history.delete("first", "first")
+    (tmp_path / "runs" / "first").mkdir()
+    with pytest.raises(RunError, match="runs/first exists"):
+        history.restore("first")
+    assert ids(history.deleted().runs()) == ["first"]
+
+
+FIELDS = {"notes": "new", "title": "my circle", "starred": True, "tags": ("coil 2",)}
+
+
+def annotate_all(folder, fields, rounds, together):
+    """Set fields of the run `first` one after the other, repeatedly; their last values are those of `FIELDS`."""
+    together.wait()
+    for left in reversed(range(rounds)):
+        for field in fields:
+            value = ("x",) if field == "tags" else False if field == "starred" else "x"
+            RunHistory(folder).annotate("first", **{field: value if left else FIELDS[field]})
+
+
+def test_simultaneous_changes_of_a_run_are_all_kept(history, tmp_path):
+    spawn = multiprocessing.get_context("spawn")
+    pairs = [("notes", "title"), ("starred", "tags")]
+    together = spawn.Barrier(len(pairs))
+    arguments = [(tmp_path / "runs", fields, 50, together) for fields in pairs]
+    writers = [spawn.Process(target=annotate_all, args=each) for each in arguments]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    run = history.run("first")
+    assert {field: getattr(run, field) for field in FIELDS} == FIELDS
+    assert sorted(path.name for path in (tmp_path / "runs" / "first").iterdir()) == [
+        NOTES_FILE, "regulation.mcap", "summary.json",
+    ]  # fmt: skip
+
+
+def test_a_change_of_damaged_notes_is_refused_and_keeps_them(history, tmp_path):
+    notes = tmp_path / "runs" / "first" / NOTES_FILE
+    notes.write_text('{"notes": "all that I know", ')
+    with pytest.raises(RunError, match=r"notes\.json is damaged; repair or remove it"):
+        history.annotate("first", starred=True)
+    assert "all that I know" in notes.read_text()
+
+
+@pytest.mark.parametrize("added", [{"title": "two\nlines"}, {"tags": ["a\x1b[2J"]}, {"tags": ["a\u2028b"]}])
+def test_control_characters_in_titles_and_tags_are_refused(history, added):
+    with pytest.raises(RunError, match="control characters are not allowed"):
+        history.annotate("first", **added)
 
 
 @pytest.mark.parametrize(
@@ -168,10 +223,10 @@ SPOILT = {
 }
 
 
-@pytest.mark.parametrize("file", ["summary.json", "notes.json"])
 @pytest.mark.parametrize("text", SPOILT.values(), ids=SPOILT)
-def test_a_run_with_an_invalid_summary_or_notes_file_is_listed(history, tmp_path, file, text):
-    (tmp_path / "runs" / "first" / file).write_text(text, encoding="utf-8")
+def test_a_run_with_an_invalid_summary_and_notes_file_is_listed(history, tmp_path, text):
+    for file in ("summary.json", "notes.json"):
+        (tmp_path / "runs" / "first" / file).write_text(text, encoding="utf-8")
     assert set(ids(history.runs())) == {"first", "second", "third"}
     assert history.run("first").cases == ("regulation",)
     assert history.run("first").model_dump_json()  # the run can be sent as JSON

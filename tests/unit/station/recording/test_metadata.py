@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.recording.data_section import RowFormat
-from station.recording.metadata import channel_texts, row_format, texts, values_of, versions
+from station.recording.metadata import channel_texts, row_format, texts, values_of
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -34,16 +34,3 @@ def test_channels_in_the_metadata_are_read_back_in_order_with_their_types(channe
         ["float64"] * len([channel for channel in channels.all if channel.unit == "s"])
     )
     assert set(read.types) == {"float64", "float32"}
-
-
-def test_channels_of_a_recording_without_types_have_double_precision():
-    read = row_format({"columns": '[["time", "s"], ["force.x", "N"]]'}, 2)
-
-    assert (read.types, [channel.name for channel in read.channels]) == (("float64",) * 2, ["time", "force.x"])
-
-
-def test_versions_in_the_metadata_are_those_of_the_running_packages():
-    import numpy as np
-
-    assert versions()["numpy"] == np.__version__
-    assert versions()["ctr-station"]

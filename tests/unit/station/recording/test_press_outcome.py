@@ -7,7 +7,15 @@ import pytest
 
 from station.config.loads import SphereLoad, WallLoad
 from station.config.motions import ForceMotion, PalpateMotion
-from station.recording.press_outcome import obstacle_of, press_of, press_outcome, true_stiffness
+from station.control.telemetry import Channels
+from station.recording.press_outcome import (
+    PalpationSoFar,
+    force_not_reached,
+    obstacle_of,
+    press_of,
+    press_outcome,
+    true_stiffness,
+)
 
 START = 10.0
 #: The motion starts at 10 s.
@@ -21,8 +29,18 @@ def columns(estimated: np.ndarray, true: np.ndarray, known: bool = True) -> dict
         "time": TIME[:, None],
         "force_filtered": np.outer(estimated, (0.0, 0.0, 1.0)) + np.array([0.3, -0.3, 0.0]),
         "force_true": np.outer(true, (0.0, 0.0, 1.0)),
+        "force_variance": np.zeros((len(TIME), 3)),
         "truth_known": np.full((len(TIME), 1), float(known)),
     }
+
+
+@pytest.mark.parametrize(("end", "text"), [(0.2, ""), (0.11, ""), (0.0, "the desired force 0.2 N was not reached")])
+def test_a_force_that_is_not_reached_at_the_end_is_reported(end: float, text: str):
+    estimated = np.where(TIME < 12.0, 0.25, end)
+    found = force_not_reached(columns(estimated, estimated).__getitem__, MOTION, START)
+    assert found.startswith(text)
+    assert bool(found) == bool(text)
+    assert not text or "at most 0.25 N, at the end 0 N" in found
 
 
 def test_force_errors_count_from_the_given_time_along_the_direction():
@@ -36,20 +54,17 @@ def test_force_errors_count_from_the_given_time_along_the_direction():
     assert numbers["rms_error_N"] == pytest.approx(math.sqrt((0.01**2 + 0.03**2) / 2.0), abs=1e-4)
     assert (numbers["true_mean_error_N"], numbers["true_rms_error_N"]) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert (numbers["max_N"], numbers["true_max_N"]) == pytest.approx((1.0, 0.5))
+    real = press_outcome(columns(estimated, true, known=False).__getitem__, MOTION, None, START, 2.0)["press"]
+    assert set(real) == {"desired_N", "counted_from_s", "mean_error_N", "rms_error_N", "max_N", "contact_s", "held_s"}
+    assert press_outcome(columns(estimated, true).__getitem__, MOTION, None, START, 7.0) == {}  # too short
 
 
-def test_bench_without_truth_has_no_true_force_errors():
-    force = np.full(len(TIME), 0.2)
+def test_force_errors_of_a_motion_without_settling_time_count_from_the_desired_force_on():
+    estimated = np.where(TIME < START + 2.0 - 1e-9, 0.0, 0.21)
 
-    numbers = press_outcome(columns(force, force, known=False).__getitem__, MOTION, None, START, 2.0)["press"]
-
-    assert set(numbers) == {"mean_error_N", "rms_error_N", "max_N"}
-
-
-def test_run_that_ends_before_errors_count_has_no_press():
-    force = np.full(len(TIME), 0.2)
-
-    assert press_outcome(columns(force, force).__getitem__, MOTION, None, START, 7.0) == {}
+    assert press_outcome(columns(estimated, estimated).__getitem__, MOTION, None, START, 0.0)["press"][
+        "mean_error_N"
+    ] == pytest.approx(0.01)
 
 
 def test_settings_of_a_run_give_its_motion_and_its_obstacle():
@@ -100,3 +115,26 @@ def test_place_where_the_obstacle_is_out_of_reach_has_no_true_stiffness():
     assert np.isnan(true_stiffness(motion, SphereLoad(center=(0.025, 0.0, 0.02), radius=0.015))).tolist() == [
         [True, False]
     ]
+
+
+def test_places_of_a_palpation_become_known_one_after_the_other(paper):
+    motion = PalpateMotion(columns=2, rows=2, light=0.1, force=0.2, travel=1.0, dwell=1.0)
+    channels, springs, visit = Channels(paper.robot()), np.array([100.0, 200.0, 50.0, 400.0]), 3.0
+    times = START + np.arange(0.0, 4 * visit, 0.002)
+    place = np.minimum(((times - START) // visit).astype(int), 3)
+    force = np.where((times - START) % visit < 2.0, 0.1, 0.2)
+    rows = np.zeros((len(times), len(channels)))
+    channels.of(rows, "time")[:, 0] = channels.of(rows, "tip_time")[:, 0] = times
+    channels.of(rows, "tip_new")[::12] = 1.0
+    channels.of(rows, "force_filtered")[:, 2] = -force  # on the tip
+    channels.of(rows, "tip_measured")[:, 2] = force / springs[place]
+    so_far, found = PalpationSoFar(motion, channels), []
+    for block in np.array_split(rows, 48):  # 0.25 s
+        so_far.add(block)
+        found.append(so_far.stiffness(START))
+
+    assert found[7] == [[None, None], [None, None]]  # after 2 s the first place has its first force only
+    assert found[11] == [[100.0, None], [None, None]]
+    assert found[23] == [[100.0, 200.0], [None, None]]
+    assert found[35] == [[100.0, 200.0], [None, 50.0]]  # the second row is visited backward
+    assert found[-1] == [[100.0, 200.0], [400.0, 50.0]]

@@ -51,7 +51,3 @@ def test_the_recovery_of_an_empty_recording_removes_its_folder(tmp_path):
 
     assert recover(tmp_path) == []
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_missing_folder_of_runs_needs_no_recovery(tmp_path):
-    assert recover(tmp_path / "none") == []

@@ -39,15 +39,6 @@ def test_a_run_folder_whose_name_is_in_use_gets_a_number(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "one-2", "one-3"]
 
 
-def test_the_next_recovery_removes_a_run_folder_without_a_recording(tmp_path):
-    folder = RunFolder(tmp_path, "one")
-    folder.add_source("title = 1")
-    folder.let_go()
-
-    assert recover(tmp_path) == []
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_file_at_the_path_of_the_runs_folder_is_named(tmp_path):
     (tmp_path / "runs").write_text("a file", encoding="utf-8")
     with pytest.raises(RecordingError, match="runs: cannot write results"):

@@ -1,4 +1,4 @@
-"""Files that end anywhere: everything up to the last complete chunk is recovered."""
+"""Recordings that end anywhere are recovered up to the last complete chunk."""
 
 import random
 import struct
@@ -40,7 +40,7 @@ def test_complete_chunks_of_a_recording_are_recovered_wherever_the_file_was_cut(
     content, ends = left
     rows = make_rows(100)
     cuts = [*ends, *(end + 1 for end in ends[:-1]), *(end - 1 for end in ends[1:])]
-    cuts += random.Random(1).sample(range(ends[0], len(content)), 40)
+    cuts += random.Random(1).sample(range(ends[0], len(content)), 10)
     for cut in cuts:
         read = finished(tmp_path / "cut.mcap", content[:cut])
         whole = max(number for number, end in enumerate(ends) if end <= cut)
@@ -82,7 +82,7 @@ def test_finishing_a_recording_again_after_a_kill_gives_the_same_file(left, tmp_
     path = tmp_path / "again.mcap"
     whole = finished(path, content)
     done = path.read_bytes()
-    for cut in random.Random(2).sample(range(len(content), len(done)), 30):
+    for cut in random.Random(2).sample(range(len(content), len(done)), 8):
         assert (finished(path, done[:cut]).rows == whole.rows).all()
         assert path.read_bytes() == done
 
@@ -104,5 +104,5 @@ def test_the_recovery_drops_garbage_after_the_last_chunk(left, tmp_path):
 def test_the_recovery_refuses_a_file_without_the_first_bytes_of_mcap(content, tmp_path):
     path = tmp_path / "nothing.mcap"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match="its first bytes are missing"):
+    with pytest.raises(RecordingError, match="does not start as an MCAP file"):
         finish_file(path, GONE, verify=True)

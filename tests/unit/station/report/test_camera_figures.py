@@ -34,6 +34,7 @@ def run(make_rows: Callable[..., Array], recorded: Callable[..., Path], channels
         channels.of(rows, group)[:] = (0.02, -0.03, 0.19)
     channels.of(rows, "tip_true")[750] += 0.005
     channels.of(rows, "force_variance")[:] = 1e-6
+    channels.of(rows, "target_followed")[:] = 0.0
     folder = recorded(rows, "run", robot=paper.model_dump(mode="json")).parent
     (case,) = read_run(folder).cases
     writer = VideoWriter(folder / VIDEOS_FOLDER / "side.mcap", "side", CAMERA, case.start)
@@ -78,4 +79,3 @@ def test_a_damaged_video_is_a_sentence_in_report_and_player(run: Path) -> None:
     (sentence,) = camera_pictures(read_run(run), "test", None)
     assert "Camera &#x27;side&#x27; has no pictures" in sentence
     assert "damaged" in videos(read_run(run))[0]["problem"]
-    write_report(run)

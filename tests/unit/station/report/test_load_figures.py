@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from station.config.strict import PRESETS, read_toml
-from station.report import facts, load_figures, style
+from station.report import load_figures, style
 from station.report.run import RecordedRun
 
 TABLE = read_toml(PRESETS / "experiments" / "load_rate.toml")
@@ -79,13 +79,3 @@ def test_the_load_rate_figure_of_an_aborted_run_shows_its_finished_cases():
     assert len(drawn.figure.axes[0].lines) == 3
     assert list(load_figures.load_rate(run({}))) == []
     assert list(load_figures.load_rate(RecordedRun(Path("x"), "load_rate", {}, {}, ()))) == []
-
-
-def test_the_bound_table_has_reached_and_best_possible_errors_of_each_part():
-    text = "".join(facts.bound_table(run(summary(3.0))))
-
-    assert "regulation-ramp_1s" in text
-    assert ">14 s</td>" in text
-    # The reached error is 6 mm and the best possible one 0.6 mm, so the ratio is 10.
-    assert '<td class="number">6.00</td><td class="number">0.60</td><td class="number">10.00</td>' in text
-    assert list(facts.bound_table(run({"cases": {"a": {"by_change": {"0 s": {"true_max_distance_mm": 1.0}}}}}))) == []

@@ -22,11 +22,7 @@ def test_thinning_a_long_line_keeps_its_ends_and_every_peak():
     assert (times[0], times[-1]) == (0.0, pytest.approx(99_999 * 0.002))
     # Every dropped point is on the straight line between two points that were kept.
     assert np.interp(times, np.arange(100_000) * 0.002, values) == pytest.approx(thin)
-
-
-def test_thinning_leaves_a_short_line_unchanged():
-    times, values = np.arange(2000.0), np.arange(2000.0) ** 2
-    assert np.array_equal(style.thinned(times, values)[1], values)
+    assert np.array_equal(style.thinned(np.arange(2000.0), values[:2000])[1], values[:2000])  # short enough
 
 
 @pytest.mark.parametrize("length", [0, 1, 2801, 2999])
@@ -40,10 +36,7 @@ def test_averaged_returns_means_over_equal_time_intervals():
 
     assert values == pytest.approx([2.0, 7.0])
     assert times == pytest.approx([0.2, 0.7])
-
-
-def test_averaged_of_a_line_shorter_than_one_interval_is_empty():
-    assert len(style.averaged(np.arange(3) * 0.1, np.arange(3.0), 0.5)[0]) == 0
+    assert len(style.averaged(np.arange(3) * 0.1, np.arange(3.0), 0.5)[0]) == 0  # shorter than one interval
 
 
 def grey(colour: str) -> float:

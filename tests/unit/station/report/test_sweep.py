@@ -42,14 +42,9 @@ SWEEP = {
     "planned": 10,
     "settings": [group(gain) for gain in GAINS],
     "runs": [
-        {
-            "setting": {"controller.k1": gain},
-            "case": "hold",
-            "seed": seed,
-            "completed": True,
-            "true_max_abs_error_mm": error(gain, seed),
-        }
-        for gain in GAINS
+        about
+        | {"seed": seed, "completed": True, "true_max_abs_error_mm": error(about["setting"]["controller.k1"], seed)}
+        for about in ({"setting": {"controller.k1": gain}, "case": "hold"} for gain in GAINS)
         for seed in SEEDS
     ],
 }
@@ -98,17 +93,13 @@ def test_the_page_of_a_sweep_has_its_table_figure_and_seeds(tmp_path: Path):
     assert "Not complete" not in text
 
 
-def test_the_page_of_an_incomplete_sweep_reports_missing_runs(tmp_path: Path):
-    (tmp_path / "sweep.json").write_text(json.dumps({**SWEEP, "completed": False}), encoding="utf-8")
-
-    assert "Not complete: 10 runs were planned." in write_report(tmp_path).read_text(encoding="utf-8")
-
-
-def test_a_sweep_in_which_nothing_completed_has_no_figure(tmp_path: Path):
+def test_the_page_of_an_incomplete_sweep_reports_missing_runs_and_has_no_figure_without_completed_runs(tmp_path: Path):
     nothing = {**SWEEP, "completed": False, "settings": [{**group(1.0), "completed": 0, "spreads": {}}], "runs": []}
     (tmp_path / "sweep.json").write_text(json.dumps(nothing), encoding="utf-8")
+    text = write_report(tmp_path).read_text(encoding="utf-8")
 
-    assert "<img" not in write_report(tmp_path).read_text(encoding="utf-8")
+    assert "Not complete: 10 runs were planned." in text
+    assert "<img" not in text
 
 
 def test_a_report_of_an_invalid_sweep_file_is_refused_naming_the_file(tmp_path: Path):
@@ -174,16 +165,8 @@ def test_a_sweep_setting_has_a_readable_label():
 
 
 def test_the_sweep_table_lists_runs_that_did_not_complete_with_their_reasons():
-    runs = [
-        {
-            "setting": {"controller.k1": 5},
-            "case": "hold",
-            "seed": seed,
-            "completed": seed == 0,
-            "cause": f"no. {seed} [x]",
-        }
-        for seed in range(13)
-    ]
+    about = {"setting": {"controller.k1": 5}, "case": "hold"}
+    runs = [about | {"seed": seed, "completed": seed == 0, "cause": f"no. {seed} [x]"} for seed in range(13)]
     lines = shown({**summary(spread_group(5.0, "max_abs_error_mm", 4.0, 5.0, 6.0)), "runs": runs})
 
     assert any("k1 = 5, hold, seed 1: no. 1 [x]" in line for line in lines)

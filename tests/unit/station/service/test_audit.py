@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -77,10 +78,9 @@ def test_audit_log_shared_by_two_stations_is_rotated_once(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("invalid", ['{"time": "yesterday"', '{"time": "2026-01-01T00:00:00"', '{"time": 7'])
-def test_audit_line_with_an_invalid_time_is_skipped(tmp_path: Path, invalid: str) -> None:
-    (tmp_path / AUDIT_FILE).write_text(
-        invalid + ', "who": "a", "what": "b", "where": "c", "outcome": "d"}\n' + "[" * 9999 + "\n"
-    )
+def test_audit_line_with_an_invalid_time_or_cut_by_a_crash_is_skipped(tmp_path: Path, invalid: str) -> None:
+    whole = ', "who": "a", "what": "b", "where": "c", "outcome": "d"}\n'
+    (tmp_path / AUDIT_FILE).write_text(f'{invalid}{whole}{"[" * 9999}\n{{"time": "2026-01-01", "who": \n[]\n')
     log = Audit(tmp_path)
     log.write("a", "b", "c", "d")
     assert len(log.tail(5)) == 1
@@ -92,21 +92,41 @@ def test_audit_error_names_a_folder_whose_name_is_not_utf8(tmp_path: Path) -> No
         Audit(tmp_path / os.fsdecode(b"\xff"))
 
 
-def test_audit_line_truncated_by_a_crash_is_skipped(tmp_path: Path) -> None:
-    log = Audit(tmp_path)
-    log.write("a", "b", "c", "d")
-    log.close()
-    with (tmp_path / AUDIT_FILE).open("a") as file:
-        file.write('{"time": "2026-01-01", "who": \n[]\n')
-    log = Audit(tmp_path)
-    assert [entry.who for entry in log.tail(5)] == ["a"]
-    log.close()
-
-
 def test_audit_error_names_a_folder_that_cannot_be_created(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(AuditError, match=r"file/audit\.jsonl"):
         Audit(tmp_path / "file")
+
+
+def test_audit_log_is_created_again_after_its_folder_was_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    log = Audit(folder)
+    log.write("a", "before", "c", "d")
+    shutil.rmtree(folder)
+    log.write("a", "after", "c", "d")
+    assert [entry.what for entry in log.tail(5)] == ["after"]
+    log.close()
+
+
+def test_audit_log_is_written_to_its_old_file_while_its_folder_cannot_be_created(tmp_path: Path) -> None:
+    folder, away = tmp_path / "data", tmp_path / "away"
+    log = Audit(folder)
+    folder.rename(away)
+    folder.write_text("in the way")
+    log.write("a", "b", "c", "d")
+    log.close()
+    assert json.loads((away / AUDIT_FILE).read_text())["what"] == "b"
+
+
+@pytest.mark.parametrize("kind", ["link", "FIFO", "folder"])
+def test_audit_error_names_a_log_that_is_no_regular_file(tmp_path: Path, kind: str) -> None:
+    path, elsewhere = tmp_path / "data" / AUDIT_FILE, tmp_path / "elsewhere"
+    path.parent.mkdir()
+    elsewhere.write_text("x")
+    {"link": lambda: path.symlink_to(elsewhere), "FIFO": lambda: os.mkfifo(path), "folder": path.mkdir}[kind]()
+    with pytest.raises(AuditError, match=f"audit.jsonl: the audit log cannot be written: .* is a {kind}"):
+        Audit(path.parent)
+    assert elsewhere.read_text() == "x"
 
 
 def test_audit_write_to_a_full_disk_does_not_raise(tmp_path: Path) -> None:
@@ -165,7 +185,7 @@ def test_hold_adds_a_line_to_the_audit_log_and_a_file_with_the_last_second(ring,
         ("station", "warning"),
     ]
     (kept,) = (tmp_path / LAST_SECONDS_FOLDER).iterdir()
-    assert lines[1].outcome == f"the tracker\nhas gone (the last second before it: {kept.name})"
+    assert lines[1].outcome == f"the tracker\nhas gone (telemetry of the last second before it: {kept.name})"
     with kept.open() as file:
         assert file.readline() == "# the tracker has gone\n"
         rows = list(csv.reader(file))
@@ -194,7 +214,7 @@ def test_audit_log_reports_a_folder_of_last_seconds_that_cannot_be_written(ring,
     (line,) = audit.tail(1)
     audit.close()
 
-    assert line.outcome.startswith("cause (the last second before it could not be kept: ")
+    assert line.outcome.startswith("cause (telemetry of the last second before it cannot be written: ")
 
 
 def test_flight_recorders_of_two_stations_do_not_overwrite_each_others_files(ring, channels, tmp_path: Path) -> None:

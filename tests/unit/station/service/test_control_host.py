@@ -73,7 +73,7 @@ def test_stop_does_not_wait_for_an_answer_of_an_ended_control_process(host: Cont
     outcomes: list[StopOutcome] = []
     pressed = threading.Thread(target=lambda: outcomes.append(host.stop()))
     pressed.start()
-    assert Played.far.recv().cause == "stopped by the operator"
+    assert Played.far.recv().command.cause == "stopped by the operator"
     Played.far.close()  # the process ends without an answer to the command
     pressed.join()
 

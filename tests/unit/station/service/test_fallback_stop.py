@@ -12,7 +12,7 @@ from tests.harness import bad_stops
 from tests.harness.bad_stops import MANNERS
 
 NAME = "driver 'bad-stops'"
-PRESS, NO_EVIDENCE = "press the emergency stop", "no evidence that the stages stop"
+PRESS, NO_EVIDENCE = "press the emergency stop", "which is no evidence of a stop"
 TEXTS = {
     "hangs": f"{NAME} has not stopped the stages; its attempt is still running after ",
     "raises": f"the stages could not be stopped (RuntimeError of {NAME}: no such port): {PRESS}",

@@ -1,12 +1,18 @@
 """Checks before anything moves: cases, poses, motions of the tip, and suggestions in place of refused motions."""
 
 import re
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
+from core.control.reachability import check_pose
 from core.errors import CtrError, Unreachable
+from core.model.solution import pure_force
+from core.model.statics import Statics
 from station.config.controllers import DEFAULT_CONTROLLER
 from station.config.motions import (
     CircleMotion,
@@ -18,23 +24,32 @@ from station.config.motions import (
     TipMotion,
     WaypointsMotion,
 )
+from station.config.regions import MeshRegion, read_regions
 from station.config.robots import load_robot, named_pose
 from station.config.strict import preset_names
+from station.control.commands import RequestError
 from station.experiments.experiment import load_experiment
+from station.service.commands import Start, experiment_start
 from station.service.feasibility import (
     check_path,
     deviations_from_case,
+    displaced_joints,
     excessive_force,
     goto_joints,
     goto_working_pose,
     incompatibility,
     suggest_motion,
 )
-from station.service.station_file import load_station
-from station.service.station_service import RequestError, StationService
+from station.service.station_file import Rig, load_station
 from station.service.supervisor import Supervisor
 from tests.harness.cases import a_case
 from tests.harness.own_devices import OWN_DEVICES
+
+
+@cache
+def bench_of(robot: str) -> Rig:
+    """Return the virtual bench of a preset robot, whose check for snapping takes seconds."""
+    return load_station(None, {"robot": robot}).bench()
 
 
 @pytest.fixture(scope="module")
@@ -43,14 +58,30 @@ def bench():
 
 
 def test_case_for_another_robot_is_refused_with_both_names():
-    three = load_station(None, {"robot": "three_tubes"}).bench()
+    three = bench_of("three_tubes")
     assert "for robot 'paper'; this station has 'three_tubes'" in incompatibility(a_case("fig8", "regulation"), three)
 
 
 def test_case_is_refused_if_a_robot_of_the_same_name_differs(bench):
     other = load_robot("paper").model_copy(update={"max_force": 1.0})
     case = a_case("fig8", "regulation")._replace(robot=other)
-    assert "this station's robot of that name differs" in incompatibility(case, bench)
+    assert "this station's robot of this name differs" in incompatibility(case, bench)
+
+
+def test_case_is_refused_if_the_mesh_of_its_region_was_replaced_since_the_start(bench, tmp_path):
+    file = tmp_path / "ball.stl"
+    region = MeshRegion(name="ball", file=str(file), position=(0.0, 0.0, 0.5))
+    trimesh.creation.icosphere(subdivisions=1, radius=10.0).export(file)
+    known = replace(bench, keep_out=read_regions([region]))
+    case = a_case("fig8", "regulation")
+
+    def with_present_mesh():
+        return case._replace(file=case.file.model_copy(update={"keep_out": read_regions([region])}))
+
+    assert incompatibility(with_present_mesh(), known) == ""
+    assert "does not know its region 'ball'" in incompatibility(with_present_mesh(), bench)
+    trimesh.creation.icosphere(subdivisions=1, radius=9.0).export(file)
+    assert "'ball' has changed since the start of the station" in incompatibility(with_present_mesh(), known)
 
 
 def test_desired_force_is_refused_if_its_contact_would_end_in_hold(bench):
@@ -74,7 +105,7 @@ def test_free_motion_with_an_excessive_desired_force_is_refused_before_the_state
     supervisor = Supervisor(bench)
     try:
         with pytest.raises(RequestError, match=r"0\.7 N is above 0\.624 N"):
-            StationService(supervisor).start_motion(ForceMotion(direction=(1.0, 0.0, 0.0), force=0.7))
+            supervisor.send(Start(trajectory=ForceMotion(direction=(1.0, 0.0, 0.0), force=0.7)))
     finally:
         supervisor.close()
 
@@ -105,7 +136,7 @@ def test_warning_names_the_bench_if_the_devices_are_real(write):
 
 def test_case_that_follows_a_target_requires_a_target_coil(bench, write):
     follows = a_case("follow", "breathing")
-    assert "no second coil for one: `serve --lab breathing`" in incompatibility(follows, bench)
+    assert "no second coil for a target: `serve --lab breathing`" in incompatibility(follows, bench)
     assert "name its coil in devices.tracker.target" in incompatibility(
         follows, load_station(write(OWN_DEVICES)).bench()
     )
@@ -115,9 +146,7 @@ def test_case_that_follows_a_target_requires_a_target_coil(bench, write):
 def test_case_with_faults_requires_the_virtual_lab(write, short):
     text = short + '[[faults]]\nkind = "mute"\ndevice = "tracker"\nat = 0.5\n'
     (case,) = load_experiment(str(write(text, "muted"))).cases
-    assert "its faults are for the virtual lab's devices" in incompatibility(
-        case, load_station(write(OWN_DEVICES)).bench()
-    )
+    assert "its faults need simulated devices" in incompatibility(case, load_station(write(OWN_DEVICES)).bench())
 
 
 def test_warning_names_both_calibrations_if_the_calibration_differs(bench):
@@ -130,8 +159,8 @@ def test_warning_names_both_calibrations_if_the_calibration_differs(bench):
 def test_recording_has_the_present_lab_and_the_deviations_from_the_case(bench):
     supervisor = Supervisor(bench)
     try:
-        start = StationService(supervisor).of_experiment("fig8", "regulation_distorted")
-        plain = StationService(supervisor).of_experiment("fig8", "regulation")
+        start = experiment_start(supervisor, "fig8", "regulation_distorted")
+        plain = experiment_start(supervisor, "fig8", "regulation")
     finally:
         supervisor.close()
     (text,) = start.about["otherwise"]
@@ -146,7 +175,6 @@ MOTIONS = [
     HelixMotion(radius=0.008, pitch=0.003, turn=20.0, turns=3.0),
     SinusoidMotion(amplitude=0.01, frequency=0.05),
     SinusoidMotion(amplitude=0.01, frequency=0.05, direction=(1.0, 0.0, 0.0)),
-    SinusoidMotion(amplitude=0.01, frequency=0.05, direction=(0.0, 1.0, 0.0)),
     WaypointsMotion(points=((5.0, 0.0, 0.01, 0.0), (10.0, 0.0, 0.0, 0.0))),
 ]
 
@@ -165,9 +193,10 @@ def test_motion_can_start_at_the_working_pose(name: str, motion: TipMotion):
     Orders(motion, robot.robot()).check(controller, pose, 60.0)
 
 
+@pytest.mark.parametrize("name", ["paper", "three_tubes", "nylon"])
 def test_path_from_the_homed_pose_to_the_working_pose_is_accepted(name: str):
     """After homing the rotations are at zero and the translations are retracted."""
-    bench = load_station(None, {"robot": name}).bench()
+    bench = bench_of(name)
     homed = np.array([0.0 if joint.motion == "rotation" else joint.lower for joint in bench.robot.joints])
     start = goto_working_pose(bench)
     assert start.load is None  # the load at the tip does not change
@@ -175,8 +204,9 @@ def test_path_from_the_homed_pose_to_the_working_pose_is_accepted(name: str):
     check_path(bench, start, homed)
 
 
+@pytest.mark.parametrize("name", ["paper", "three_tubes", "nylon"])
 def test_station_starts_at_the_working_pose_of_its_robot(name: str):
-    bench = load_station(None, {"robot": name}).bench()
+    bench = bench_of(name)
     assert bench.robot.working_pose is not None
     assert bench.park == tuple(bench.robot.working_pose[joint.name] for joint in bench.robot.joints)
 
@@ -192,7 +222,7 @@ def test_goto_is_refused_if_the_tubes_would_snap_on_the_path(write, robot_text):
     robot = robot_text.replace("[4.0, 0.0]", "[8.0, 0.0]")
     bench = load_station(None, {"robot": str(write(robot, "robot"))}).bench()
     together = np.array([0.0, 0.0, -0.1])
-    with pytest.raises(CtrError, match=r"to the other side: after 6\d % of the path the tubes would snap"):
+    with pytest.raises(CtrError, match=r"to the other side: after 6\d % of the path tubes that differ by 5 %"):
         check_path(bench, goto_joints(bench, np.array([0.0, 5.0, -0.1]), "to the other side"), together)
     check_path(bench, goto_joints(bench, np.array([0.0, 3.0, -0.1]), "to the other side"), together)
 
@@ -257,13 +287,11 @@ def test_smaller_motion_is_suggested_if_a_slower_one_does_not_work():
 
 def test_longer_times_are_suggested_for_waypoints():
     points = WaypointsMotion(points=((1.0, 0.0, 0.01, 0.0), (2.0, 0.0, 0.0, 0.0)), max_speed=0.1)
-    assert suggest_motion(points, CONTROLLER, POSE, 2.0) == "times 2 times as long would work from here"
+    assert suggest_motion(points, CONTROLLER, POSE, 2.0) == "waypoint times multiplied by 2 would work from here"
 
 
 def test_suggestion_is_empty_if_no_slower_or_smaller_motion_works():
-    homed = np.array(
-        [0.0, 0.0, -0.13]
-    )  # homed pose: the tubes are straight, and the translation is at the end of its travel
+    homed = np.array([0.0, 0.0, -0.13])  # the tubes are straight, and the translation is at the end of its travel
     assert suggest_motion(CircleMotion(radius=0.01, period=20.0), CONTROLLER, homed, 60.0) == ""
 
 
@@ -271,3 +299,24 @@ def test_suggested_value_is_inside_its_valid_range():
     """A period beyond the longest valid one is not suggested."""
     slow = CircleMotion(radius=0.1, period=3600.0)
     assert "period" not in suggest_motion(slow, CONTROLLER, POSE, 60.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("step", [1e-4, -1e-3, 5e-3])
+def test_step_of_the_tip_displaces_the_loaded_models_tip_by_its_size(bench, axis, step):
+    joints, force, offset = np.array([0.1, 1.5, -0.09]), np.array([0.1, -0.05, 0.0]), step * np.eye(3)[axis]
+
+    found = displaced_joints(bench, joints, force, offset)
+
+    model = Statics(bench.robot.robot())
+    moved = (model.solve(found, pure_force(force)).tip - model.solve(joints, pure_force(force)).tip).tolist()
+    assert moved == pytest.approx(offset.tolist(), abs=2e-6)
+    assert np.abs(found - joints).max() < 1.0  # near the present pose
+
+
+def test_step_of_the_tip_beyond_its_reach_is_refused(bench):
+    with pytest.raises(CtrError):
+        check_pose(
+            Statics(bench.robot.robot()), bench.limits,
+            displaced_joints(bench, np.array([0.0, 1.5, -0.006]), np.zeros(3), np.array([0.0, 0.0, 0.02])),
+        )  # fmt: skip

@@ -5,14 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from station.service.setpoint_stream import (
-    MAX_BURST,
-    MAX_RATE_HZ,
-    RateExceeded,
-    SetpointRefused,
-    SetpointStream,
-    StreamAgreement,
-)
+from station.service.commands import StreamAgreement
+from station.service.setpoint_stream import MAX_BURST, MAX_RATE_HZ, RateExceeded, SetpointRefused, SetpointStream
 
 POINTING = {"task": "position_and_direction"}
 START = np.array([0.01, 0.02, 0.15])
@@ -213,11 +207,6 @@ def test_streamed_direction_is_refused_together_with_a_position_beyond_the_reach
 def test_streamed_direction_is_refused_if_only_the_position_is_controlled():
     with pytest.raises(SetpointRefused, match=r'start the stream with controller\.task = "position_and_direction"'):
         new_stream().position((0.0, 0.0, 0.0), 0.1, direction=(0.0, 0.0, 1.0))
-
-
-def test_turning_rate_of_a_stream_is_the_agreed_one():
-    assert StreamAgreement(turning=0.4).limits().turning.max_speed == 0.4
-    assert StreamAgreement().limits().turning.max_speed == 0.2
 
 
 @pytest.mark.parametrize(

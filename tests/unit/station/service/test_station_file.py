@@ -22,24 +22,9 @@ def test_station_file_with_devices_has_the_title_of_a_bench(write):
     assert bench.title == "bench of 'paper': zaber, aurora, netft"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "error"),
-    [
-        ('"zaber"', '"newport"', r"own.toml: devices.stages.driver = 'newport' is not one of zaber"),
-        ('port = "/dev/ttyUSB1"', "", r"own.toml: devices.tracker: 'port' is missing"),
-        ("tubes.outer", "tubes.middle", r"own.toml: devices.sensors.tubes.middle: the robot has no such part"),
-        ("[devices.tracker]", "[devices.camera]", r"own.toml: unknown key 'devices.camera'"),
-    ],
-)
-def test_error_for_invalid_devices_names_the_station_file(write, old, new, error):
-    with pytest.raises(ConfigError, match=error):
-        load_station(write(OWN_DEVICES.replace(old, new))).bench()
-
-
-def test_station_runs_in_real_time_by_default(write):
-    bench = load_station(write("")).bench()
-    assert bench.clock == REAL_TIME_CLOCK
-    assert not any("real time" in warning for warning in bench.warnings)
+def test_error_for_invalid_devices_names_the_station_file(write):
+    with pytest.raises(ConfigError, match=r"own.toml: devices.stages.driver = 'newport' is not one of zaber"):
+        load_station(write(OWN_DEVICES.replace('"zaber"', '"newport"'))).bench()
 
 
 def test_slow_clock_causes_a_warning(write):
@@ -69,12 +54,6 @@ def test_patience_sets_missing_deadlines_of_stages_and_sensors(write):
     assert (own.stages["deadline"], own.sensors["stale_after"]) == (0.06, 0.25)
 
 
-@pytest.mark.parametrize("rate", ["0.01", "1.5", "nan", "0"])
-def test_clock_rate_out_of_range_is_refused(write, rate):
-    with pytest.raises(ConfigError, match=r"own.toml.*clock.rate"):
-        load_station(write(f"[clock]\nrate = {rate}\n"))
-
-
 def test_folder_of_experiments_is_relative_to_the_station_file(monkeypatch, write, tmp_path):
     monkeypatch.setenv(EXPERIMENTS_VARIABLE, "")  # pytest restores this variable after the test
     (tmp_path / "mine").mkdir()
@@ -99,11 +78,45 @@ def test_command_line_overrides_the_station_file(tmp_path):
         load_station(path, {"lab": "nowhere"}).bench()
 
 
-@pytest.mark.parametrize(("value", "meaning"), [("go_on", "continue"), ("hold", "hold")])
-def test_key_alone_of_earlier_versions_is_read(write, value, meaning):
-    assert load_station(write(f"alone = '{value}'\n")).bench().on_operator_loss == meaning
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", (0.025, 0.012)),
+        ('lab = { stages = "cia402" }\n', (0.004, 0.00063)),
+        ('lab = { stages = "cia402" }\n[controller]\ntransport_delay = 0.003\n', (0.004, 0.003)),
+        (OWN_DEVICES.replace('"zaber"', '"cia402"'), (0.004, 0.00063)),
+    ],
+)
+def test_controller_of_a_station_plans_for_the_latency_of_its_stages(write, text, expected):
+    rig = load_station(write(text)).bench()
+    actuation = rig.controlled(rig.controller).estimator.actuation
+    assert (actuation.command_interval, actuation.transport_delay) == pytest.approx(expected)
 
 
-def test_old_and_new_key_for_a_lost_operator_are_refused_together(write):
-    with pytest.raises(ConfigError, match="alone"):
-        load_station(write("alone = 'hold'\non_operator_loss = 'continue'\n"))
+def test_gateway_origins_are_those_that_a_browser_sends(write):
+    origins = ("http://localhost:8080", "https://lab.example", "http://192.168.1.7:3000", "http://[::1]:8080")
+    assert load_station(write("")).gateway_origins == ()
+    assert load_station(write(f"gateway_origins = {list(origins)}\n")).gateway_origins == origins
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["*", "http://*", "http://*.example", "null", "", "localhost:8080", "http://localhost:8080/", "http://a:0", "http://a:x",
+     "http://a:65536", "http://a:080", "http://a:80", "https://a:443", "http://A:8080", "ftp://a", "http://u@a", "http://a..b",
+     "http://a:8080\\n"],
+)  # fmt: skip
+def test_an_origin_that_no_browser_sends_is_refused(origin, write):
+    with pytest.raises(ConfigError, match=r"gateway_origins.0 = .*: expected http or https, host and optional port"):
+        load_station(write(f'gateway_origins = ["{origin}"]\n'))
+
+
+def test_a_lab_with_one_force_sensor_gives_the_robot_of_its_station(write, tmp_path):
+    for at, measured in (("robot", True), ("inner", False)):
+        (tmp_path / "lab.toml").write_text(f'[sensors]\nat = "{at}"\n', encoding="utf-8")
+        rig = load_station(write('lab = "lab.toml"\n')).bench()
+        assert rig.robot.sensor_names == rig.best_known_robot.sensor_names == (at,)
+        assert rig.present.sensors == measured
+        assert any("tube 'inner' alone" in text for text in rig.warnings) != measured
+    (tmp_path / "lab.toml").write_text('[sensors]\nat = "plate"\n', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"at of the lab = 'plate': expected 'tubes' .* 'robot' .* inner, outer"):
+        load_station(write('lab = "lab.toml"\n')).bench()

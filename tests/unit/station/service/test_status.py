@@ -12,7 +12,7 @@ from station.config.motions import HoldMotion, Orders
 from station.config.robots import RobotFile
 from station.control.clock import REAL_TIME_CLOCK
 from station.control.messages import DeviceStatus
-from station.control.ring import HEARTBEAT, PHASE, RUN, STATE, STUCK, Ring
+from station.control.ring import HEARTBEAT, PHASE, PREPARED_LATE, RUN, STATE, STUCK, Ring
 from station.control.states import State
 from station.control.task import MotionTask, Phase
 from station.control.telemetry import Channels
@@ -47,6 +47,13 @@ def run(paper: RobotFile, number: int) -> RunRequest:
 def test_state_is_off_before_the_first_report(watched: Watched) -> None:
     watched.ring.counters[STATE] = State.READY
     assert watched.monitor.state is State.OFF
+
+
+def test_functions_that_were_compiled_while_the_loop_ran_are_a_warning_with_their_number(watched: Watched) -> None:
+    assert watched.monitor.snapshot(None, False, "", ()).warnings == ()
+    watched.ring.counters[PREPARED_LATE] = 3
+    (warning,) = watched.monitor.snapshot(None, False, "", ()).warnings
+    assert warning.startswith("3 compiled functions were prepared while the control loop was running")
 
 
 def test_station_that_starts_is_connecting_without_old_data_until_its_first_report(watched: Watched) -> None:
@@ -152,5 +159,5 @@ def test_status_warns_while_a_followed_target_needs_more_than_the_stages_have(wa
         written.append(watched.monitor.snapshot(None, False, "", ()).warnings)
 
     (warning,) = written[49]
-    assert "needs more than the stages have: at a limit of speed or travel inner_rotation 26 % of the time" in warning
+    assert "exceeds the speed or travel of the stages (at a limit: inner_rotation 26 % of the time)" in warning
     assert written[3] == written[-1] == ()

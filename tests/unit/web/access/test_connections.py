@@ -1,4 +1,4 @@
-"""Direct access to viser's port, which bypasses the station's port."""
+"""Direct access to viser's port, without the station's port in between."""
 
 import socket
 from collections.abc import Iterator

@@ -55,3 +55,22 @@ def test_only_the_operator_releases_the_lease() -> None:
 
 def test_the_operator_can_change_its_name() -> None:
     assert Anna().lease.take("a", "Anna Berg").name == "Anna Berg"
+
+
+def test_tenure_of_an_operator_ends_by_release_take_over_and_expiry_and_not_by_renewal() -> None:
+    anna = Anna()
+    lease = anna.lease
+    first = lease.take("a", "Anna Berg")
+    anna.now = 5.0
+    lease.renew("a")
+    lease.keep("a", "Anna")
+    assert lease.ended(first) == ""
+    anna.now = 5.0 + LEASE_S
+    assert lease.ended(first) == "the operator 'Anna Berg' has left"
+    second = lease.take("a", "Anna")
+    assert lease.ended(first) == "the operator 'Anna Berg' has left"
+    assert lease.ended(second) == ""
+    third = lease.take("b", "Ben", over=True)
+    assert lease.ended(second) == "'Ben' is operator instead of 'Anna'"
+    lease.release("b")
+    assert lease.ended(third) == "the operator 'Ben' has left"

@@ -13,6 +13,7 @@ from tests.harness.children import children
 from web.access.identity import Role, Sender
 from web.access.lease import Lease
 from web.api.commands import commands
+from web.api.files import FileThreads
 from web.api.runs import runs_routes
 
 SOMEBODY = Sender(Role.OPERATOR, "somebody", "Somebody", "127.0.0.1")
@@ -52,7 +53,7 @@ def app(tmp_path: Path) -> FastAPI:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "summary.json").write_text("{}")
     app = FastAPI()
-    app.include_router(runs_routes(RunHistory(tmp_path), commands(Lease())))
+    app.include_router(runs_routes(RunHistory(tmp_path), commands(Lease()), FileThreads()))
     return app
 
 

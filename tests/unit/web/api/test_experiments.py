@@ -4,7 +4,8 @@ import pytest
 
 from station.config.motions import WaypointsMotion
 from station.config.strict import EXPERIMENTS_VARIABLE, preset_names, use_experiments
-from station.experiments.experiment import load_experiment
+from station.experiments.experiment import load_experiment, offered_experiment
+from station.service.feasibility import incompatibility
 from station.service.station_file import load_station
 from web.api.experiments import experiments_out
 
@@ -42,12 +43,25 @@ def test_a_broken_experiment_file_has_no_picture_and_the_error_names_the_file(ap
     assert "notes.toml" in drawn.json()["error"]
 
 
-def test_a_station_of_three_tubes_lists_the_papers_experiments_as_refused():
+def test_a_station_of_three_tubes_offers_every_experiment_that_its_robot_can_do():
     listed = experiments_out(load_station(None, {"robot": "three_tubes"}).bench(), check_motions=True)
     for one in listed:
         for case in one.cases:
-            other = "balanced_pair" if one.name == "points" else "paper"
-            assert f"for robot '{other}'; this station has 'three_tubes'" in case.refused
+            if one.name == "points":  # a singular pose
+                assert "for robot 'balanced_pair'; this station has 'three_tubes'" in case.refused
+            elif one.name == "keep_out":
+                assert "the station does not know its region" in case.refused
+            elif one.name != "follow":  # the lab has no target
+                assert (one.name, case.name, case.refused, case.robot) == (one.name, case.name, "", "three_tubes")
+
+
+@pytest.mark.parametrize("robot", preset_names("robots"))
+def test_each_preset_robot_has_a_demo_and_does_not_warn_about_itself(robot):
+    bench = load_station(None, {"robot": robot}).bench()
+    (case,) = offered_experiment("demo", robot).cases
+    assert incompatibility(case, bench) == ""
+    assert bench.robot.working_pose == case.file.start
+    assert not [text for text in bench.warnings if "snap" in text]
 
 
 def test_each_case_of_an_experiment_has_a_description_and_facts_with_numbers(app):

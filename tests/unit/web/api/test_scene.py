@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from starlette.testclient import TestClient
 
 from station.config.robots import load_robot
@@ -28,3 +29,12 @@ def test_the_close_up_reports_that_there_is_no_telemetry_and_accepts_any_text(ap
         for text in ("Tip", "", "\x00", "x" * 5000):
             socket.send_text(text)
         assert socket.receive_json()["message"] == "no telemetry yet"
+
+
+@pytest.mark.parametrize("position", [[1e308, 0.0, 0.0], [-1e308, 1e30, 1e300], [0.0, -1001.0, 0.0]])
+def test_target_beyond_every_robot_is_refused(app: TestClient, position: list[float]) -> None:
+    """Its drawing would overflow, and the terminal of the station would show a warning of numpy."""
+    answer = app.put("/api/scene/target", json={"position": position})
+    assert answer.status_code == 422
+    assert "at most 1000 m" in answer.json()["error"]
+    app.delete("/api/operator")

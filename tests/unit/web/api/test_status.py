@@ -71,15 +71,24 @@ def test_next_step_of_a_latched_state_is_possible_for_its_reader(state: State, r
     assert state_message(status(state, cause="the tracker is gone"), reader).next == step
 
 
+@pytest.mark.parametrize("advice", ["or jog the tip away", "or jog the joints back"])
+def test_hold_whose_load_the_lab_has_removed_gives_no_advice_to_take_it_off(advice: str) -> None:
+    held = status(State.HOLD, cause=f"the force is above its limit: take the load off, {advice}")
+    assert "take the load off" in state_message(held, Reader()).message
+    message = state_message(held, Reader(simulated=True, removed_load=True)).message
+    assert "take the load off" not in message
+    assert "the lab has taken the load off" in message
+
+
 @pytest.mark.parametrize("state", [State.READY, State.RUNNING, State.HOMING])
 def test_stale_telemetry_is_reported_in_every_state(state: State) -> None:
     assert "no telemetry" in state_message(status(state, age=2.0)).message
 
 
 def test_a_station_under_calibration_does_not_suggest_start() -> None:
-    shown = state_message(status(State.READY, reserved="'calibrate tubes' has reserved the robot; abort it first"))
+    shown = state_message(status(State.READY, reserved="'calibrate tubes' has reserved the robot"))
     assert "'calibrate tubes'" in shown.message
-    assert shown.next == "open the tab Calibrate"
+    assert shown.next == "follow it in the tab Calibrate"
 
 
 def test_the_homing_message_has_axis_distance_and_time_left() -> None:

@@ -1,9 +1,14 @@
 """Bytes of OpenIGTLink messages, decoded by pyigtl and checked against the specification."""
 
+import asyncio
+import random
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pyigtl.messages import CRC64, MessageBase, TransformMessage
 from scipy.spatial.transform import Rotation
 
@@ -11,10 +16,12 @@ from station.control.clock import REAL_TIME_CLOCK
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.telemetry import Channels
-from tests.harness.gateway import DESIRED, FORCE, MEASURED, MOMENT, PAPER, Shown
+from tests.harness.gateway import ANY, DESIRED, FORCE, MEASURED, MOMENT, PAPER, Shown
 from web.gateway.igtl import (
     HEADER_BYTES,
+    MAX_SKIPPED_BYTES,
     BadMessage,
+    IgtlServer,
     PackedMessage,
     motion_messages,
     parse_head,
@@ -178,3 +185,102 @@ def test_a_wrong_extended_header_of_openigtlink_is_refused():
             # The check sum is correct: an attacker can compute it.
             with pytest.raises(BadMessage):
                 parse_target(head._replace(crc=CRC64(body)), body)
+
+
+def message(kind: bytes, name: bytes, body: bytes, version: int = 3) -> bytes:
+    """Return a message with this header, as the specification lays it out."""
+    return struct.pack("> H 12s 20s I I Q Q", version, kind, name, 0, 0, len(body), CRC64(body)) + body
+
+
+def target(x: float) -> bytes:
+    matrix = np.eye(4)
+    matrix[0, 3] = x
+    return TransformMessage(matrix, device_name="Target").pack()
+
+
+class Received:
+    """What a server has received and logged from one client that sends `pieces` and then disconnects."""
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        self.targets: list[float] = []
+        self.log: list[str] = []
+        self.server = IgtlServer(ROBOT, lambda position, _: self.targets.append(1e3 * position[0]), self.log.append)
+        asyncio.run(self._send(pieces))
+
+    async def _send(self, pieces: list[bytes]) -> None:
+        address = await self.server.open(ANY)
+        reader, writer = await asyncio.open_connection(address.host, address.port)
+        for piece in pieces:
+            writer.write(piece)
+            await writer.drain()
+            await asyncio.sleep(0)
+        writer.write_eof()
+        await asyncio.wait_for(_end_of(reader), 30.0)
+        writer.close()
+        await self.server.close()
+
+
+async def _end_of(reader: asyncio.StreamReader) -> None:
+    try:
+        while await reader.read(65536):
+            pass
+    except ConnectionResetError:
+        return
+
+
+def pieces_of(data: bytes, seed: int, longest: int) -> list[bytes]:
+    lengths, pieces = random.Random(seed), []
+    while data:
+        count = lengths.randint(1, longest)
+        pieces.append(data[:count])
+        data = data[count:]
+    return pieces
+
+
+def test_a_target_after_a_long_image_is_used():
+    image = message(b"IMAGE", "Schädel".encode("latin-1"), random.Random(1).randbytes(300_000))
+    received = Received(pieces_of(target(1.0) + image + target(2.0) + image + target(3.0), 5, 9000))
+    assert received.targets == pytest.approx([1.0, 2.0, 3.0])
+    assert received.server.skipped == {"IMAGE": 2}
+    assert received.log == ["OpenIGTLink: messages of type 'IMAGE' are skipped, the station does not use them: 1"]
+
+
+def test_a_skipped_openigtlink_message_is_not_kept_in_memory():
+    block = bytes(1 << 16)
+    header = struct.pack("> H 12s 20s I I Q Q", 2, b"IMAGE", b"Volume", 0, 0, 512 * len(block), 0)
+    tracemalloc.start()
+    try:
+        received = Received([header, *[block] * 512, target(4.0)])
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000  # the message has 34 MB
+    finally:
+        tracemalloc.stop()
+    assert received.targets == pytest.approx([4.0])
+
+
+def test_a_disconnected_openigtlink_client_has_its_reason_in_the_log():
+    for kind, name, size, reason in (
+        (b"IMAGE", b"Slice", MAX_SKIPPED_BYTES + 1, "'IMAGE' announces 1073741825 bytes; at most 1073741824"),
+        (b"TRANSFORM", b"Target", 70_000, "'TRANSFORM' announces 70000 bytes; at most 65536"),
+    ):
+        received = Received([struct.pack("> H 12s 20s I I Q Q", 2, kind, name, 0, 0, size, 0)])
+        assert received.log == [f"OpenIGTLink: a client is disconnected: a message {reason}"]
+
+
+def test_an_openigtlink_request_with_other_characters_is_answered():
+    header = message(b"GET_\xe9\xff", b"\xe9" * 20, b"")
+    received = Received([header, target(5.0)])
+    assert received.targets == pytest.approx([5.0])
+    assert received.log == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sent=st.lists(st.tuples(st.binary(max_size=12), st.binary(max_size=20), st.integers(0, 200_000)), max_size=5),
+    version=st.integers(1, 3), seed=st.integers(0, 1000), longest=st.integers(500, 100_000),
+)  # fmt: skip
+def test_a_target_after_any_openigtlink_messages_is_used(sent, version, seed, longest):
+    others = [each for each in sent if each[0][:3] not in (b"GET", b"STT", b"STP")]
+    data = b"".join(message(kind, name, bytes(size), version) for kind, name, size in others)
+    received = Received(pieces_of(data + target(6.0), seed, longest))
+    assert received.targets == pytest.approx([6.0])
+    assert received.server.skipped.total() == len(others)

@@ -1,4 +1,4 @@
-"""Stamps of rows by the computer's clock, independent of when they are read."""
+"""Stamps of rows follow the computer's clock and do not depend on when the rows are read."""
 
 import time
 

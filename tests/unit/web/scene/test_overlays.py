@@ -1,4 +1,4 @@
-"""The workspace's surface, tested with other poses than it was computed from."""
+"""The drawn surface of the workspace is tested with other poses than those that it was computed from."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from core.model.cosserat import ExactRod
 from core.model.statics import Statics
 from core.robot.robot import Array, Robot, Section, Tube
+from station.config.robots import load_robot
 from web.scene.robot_mesh import Bend, TubeMesh, centre_line
 
 RADIUS = 0.25  # radius of the arc [m]
@@ -123,6 +125,24 @@ def test_a_bent_tube_ends_at_the_measured_tip_and_keeps_its_shape_at_the_plate(p
     np.testing.assert_allclose(moved[-1], offset, atol=1e-12)
     np.testing.assert_allclose(moved[straight.arc <= 0.0], 0.0)
     assert (np.diff(np.linalg.norm(moved, axis=1)) >= 0.0).all()
+
+
+@pytest.mark.parametrize("lengths", [(0.0, 0.0, 0.0), (0.0, 0.05, 0.08), (0.04, 0.09, 0.06)])
+def test_tubes_that_are_flush_with_the_plate_or_inside_others_are_drawn_to_their_ends(lengths) -> None:
+    robot = load_robot("three_tubes").robot()
+    beta = [length - tube.length for length, tube in zip(lengths, robot.tubes, strict=True)]
+    joints = np.array([
+        beta[joint.tube] if joint.motion == "translation" else 0.3 * joint.tube for joint in robot.joints
+    ])  # fmt: skip
+    model = Statics(robot)
+    solution = model.solve(joints, np.zeros(6))
+    shape, rod = model.shape(solution), ExactRod(robot).solve(joints, np.zeros(6))
+    for tube, start in zip(robot.tubes, beta, strict=True):
+        line = TubeMesh(tube).line(shape, start)
+        assert np.isfinite(line.position).all()
+        assert np.isfinite(line.frame).all()
+        assert np.allclose(line.position[0], [0.0, 0.0, start])
+    assert np.allclose(TubeMesh(robot.tubes[0]).line(shape, beta[0]).position[-1], rod.tip, atol=1e-6)
 
 
 def test_a_magnified_tube_is_wider_and_has_the_same_centre_line(paper_robot: Robot) -> None:

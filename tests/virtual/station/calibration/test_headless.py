@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from station.calibration import commission, procedures
+from station.calibration import procedures
 from station.calibration.headless import run_headless
 from station.calibration.plan import PlanSubject
 from station.calibration.procedure import GoToPose, GuidedProcedure, OperatorPrompt
 from station.calibration.static_lab import StaticLab
 from station.config.robots import load_robot
 from station.control.clock import VirtualClock
-from station.lab.config import HiddenConfig, LabConfig, load_lab
+from station.lab.config import LabConfig, load_lab
 
 START = np.array([0.0, math.pi / 2, -0.100])
 
@@ -43,19 +43,6 @@ def test_measurements_at_wire_level_agree_with_those_of_the_static_lab(subject):
     pulled = seen[2].wrenches - seen[1].wrenches
     assert np.linalg.norm(pulled[:, :3].sum(axis=0)) == pytest.approx(0.5, abs=0.02)
     assert (0.5, "Hang a weight.") in texts
-
-
-def test_procedure_latency_finds_the_unknown_latency_of_the_tracker(subject):
-    labs = [LabConfig(hidden=HiddenConfig(tracker_latency=late)) for late in (0.0, 0.020)]
-
-    found = [
-        run_headless(commission.latency(subject), subject, lab, 0, VirtualClock(), lambda done, text: None).latency
-        for lab in labs
-    ]
-
-    # Both results contain the delay of the stages, so the difference is the added latency of the tracker.
-    assert found[1].latency - found[0].latency == pytest.approx(0.020, abs=4.0 * found[1].error)
-    assert found[1].error < 2e-3
 
 
 def test_calibration_procedure_can_be_stepped_through_and_aborted(subject):

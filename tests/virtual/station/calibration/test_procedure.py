@@ -13,6 +13,7 @@ from core.control.sensors import Corrections, Sensors
 from station.calibration.procedure import AbortedError, GoToPose, SwingMotion, measurement_of, task
 from station.config.controllers import DEFAULT_CONTROLLER, PERIOD_S
 from station.config.loads import ConstantLoad
+from station.config.robots import load_robot
 from station.control.loop import ControlLoop
 from station.control.states import State
 from station.control.task import AVERAGE_S
@@ -44,6 +45,13 @@ def rows_of(
     return loop, np.array(rows)
 
 
+@pytest.fixture(scope="module")
+def at_start() -> tuple[ControlLoop, np.ndarray]:
+    """Return the telemetry of a rest at START without a calibration."""
+    robot = load_robot("paper")
+    return rows_of(GoToPose(START, 0.0, 0.0), DEFAULT_CONTROLLER.controller(robot), robot)
+
+
 def test_measurement_is_the_last_rest_with_the_arrival_direction_of_each_joint(paper):
     controller = DEFAULT_CONTROLLER.controller(paper)
     loop, rows = rows_of(GoToPose(AWAY, 0.0, 0.0), controller, paper)
@@ -58,13 +66,12 @@ def test_measurement_is_the_last_rest_with_the_arrival_direction_of_each_joint(p
     assert measurement.wrenches.shape == (2, 6)
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.5])
-def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper, weight):
+def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper):
     """If the correction stayed, the next calibration would find the coil at the tip and lose the coil's offset."""
     plain = DEFAULT_CONTROLLER.controller(paper)
-    known = replace(plain, corrections=Corrections(Sensors.ideal(2), np.array([2e-3, -1e-3, 3e-3])))
-    step = GoToPose(START, weight, 0.0)
-    (loop, rows), (_, corrected) = rows_of(step, plain, paper, weight), rows_of(step, known, paper, weight)
+    known = replace(plain, corrections=Corrections(Sensors.ideal(plain.statics.robot), np.array([2e-3, -1e-3, 3e-3])))
+    step = GoToPose(START, 0.5, 0.0)
+    (loop, rows), (_, corrected) = rows_of(step, plain, paper, 0.5), rows_of(step, known, paper, 0.5)
 
     first = measurement_of(loop.channels, rows, step, START, plain)
     second = measurement_of(loop.channels, corrected, step, START, known)
@@ -74,11 +81,11 @@ def test_coil_of_the_calibration_in_use_is_removed_from_measurements(paper, weig
     np.testing.assert_allclose(second.coil, first.coil, rtol=0, atol=20e-6)  # tolerance: noise of the mean position
 
 
-def test_measured_coil_axis_does_not_depend_on_the_calibration_in_use(paper):
+def test_measured_coil_axis_does_not_depend_on_the_calibration_in_use(paper, at_start):
     plain, step = DEFAULT_CONTROLLER.controller(paper), GoToPose(START, 0.0, 0.0)
     axis = np.array([0.03, -0.04, np.sqrt(1.0 - 0.0025)])
-    known = replace(plain, corrections=Corrections(Sensors.ideal(2), axis=axis))
-    (loop, rows), (_, corrected) = rows_of(step, plain, paper), rows_of(step, known, paper)
+    known = replace(plain, corrections=Corrections(Sensors.ideal(plain.statics.robot), axis=axis))
+    (loop, rows), (_, corrected) = at_start, rows_of(step, known, paper)
 
     first = measurement_of(loop.channels, rows, step, START, plain)
     second = measurement_of(loop.channels, corrected, step, START, known)
@@ -107,9 +114,9 @@ def test_swing_record_has_all_rows_and_frames_of_the_swing(paper):
     assert (np.diff(swung.frame_times) > 0.0).all()
 
 
-def test_measurement_with_too_few_rows_or_frames_is_refused(paper):
+def test_measurement_with_too_few_rows_or_frames_is_refused(paper, at_start):
     controller, step = DEFAULT_CONTROLLER.controller(paper), GoToPose(START, 0.0, 0.0)
-    loop, rows = rows_of(step, controller, paper)
+    loop, rows = at_start
 
     with pytest.raises(AbortedError, match=r"only 0\.2 of 1\.5 s were recorded"):
         measurement_of(loop.channels, rows[-102:], step, START, controller)

@@ -1,4 +1,4 @@
-"""A stop or a device that fails while the tubes move beside a region does not bring them nearer to it.
+"""A STOP or a failed device, while the tubes move near a region, does not bring them nearer to it.
 
 A cut line to the stages is not part of the test: stages that no command reaches keep their last velocity.
 """
@@ -30,8 +30,13 @@ FAILURES: dict[str, Callable[[VirtualStation], None]] = {
 }
 
 
-@pytest.mark.parametrize("failure", list(FAILURES))
+@pytest.mark.parametrize("failure", ["STOP", "lost tool", "frozen sensors"])
 def test_tubes_come_no_nearer_to_a_region_after(failure: str) -> None:
+    check_failure(failure)
+
+
+def check_failure(failure: str) -> None:
+    """Check that the tubes rest and come no nearer to the rib after a failure."""
     case = usual_case()
     case = case._replace(controller=CONTROLLER.controller(ROBOT, case.lab.present, [RIB]))
     virtual = VirtualStation(case).moving(CIRCLE)
@@ -43,7 +48,7 @@ def test_tubes_come_no_nearer_to_a_region_after(failure: str) -> None:
 
     FAILURES[failure](virtual)
     smallest = before
-    for _ in range(100):
+    for _ in range(50):
         virtual.seconds(0.02)
         smallest = min(smallest, true_clearance(virtual.lab, LIMITS))
 

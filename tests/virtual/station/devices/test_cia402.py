@@ -1,11 +1,11 @@
-"""What only CANopen drives do: emergencies, the watchdog, objects and identities, in virtual time."""
+"""Special features of CANopen drives in virtual time: emergencies, watchdog, objects and identities."""
 
 import pytest
 
-from station.devices.cia402.protocol import FAULT_BIT, HEARTBEAT, HOST_NODE, Frame, encode
+from station.devices.cia402.protocol import COMMAND, FAULT_BIT, HEARTBEAT, HOST_NODE, Frame, encode
 from station.devices.interfaces import Condition, Severity
-from station.lab.simulated_cia402 import SimulatedDrive
-from station.lab.simulated_zaber import Faults
+from station.lab.simulated_cia402 import DISABLED, SimulatedDrive
+from station.lab.simulated_line import Faults, SimulatedLine
 from tests.harness.stages_bench import StagesBench, swing
 
 SPEEDS = [0.3, -0.3, 0.015]
@@ -16,8 +16,17 @@ def bench(paper) -> StagesBench:
     return StagesBench(paper, "cia402").connect()
 
 
-def units(bench: StagesBench) -> list[SimulatedDrive]:
-    return list(bench.simulated.units)
+def units(bench: StagesBench) -> tuple[SimulatedDrive, ...]:
+    assert isinstance(bench.simulated, SimulatedLine)
+    return bench.simulated.units
+
+
+def fail(bench: StagesBench, slot: int, code: int) -> None:
+    """Let a drive stop with an error, which it reports."""
+    assert isinstance(bench.simulated, SimulatedLine)
+    drive = units(bench)[slot - 1]
+    for frame in drive.fail(code):
+        bench.simulated.put(slot, frame, drive.motor.time)
 
 
 def test_limits_ramps_and_reactions_are_written_to_every_drive(bench):
@@ -29,14 +38,11 @@ def test_limits_ramps_and_reactions_are_written_to_every_drive(bench):
         assert unit.values[0x1016, 1] == HOST_NODE << 16 | 100  # milliseconds without a heartbeat
 
 
-@pytest.mark.parametrize(
-    ("code", "meaning"),
-    [(0x2310, "the motor's current is too high (error 0x2310)"), (0x4210, "the drive is too hot (error 0x4210)")],
-)
-def test_emergency_is_a_fault_with_its_meaning_that_stops_the_other_axes(bench, code, meaning):
+def test_emergency_is_a_fault_with_its_meaning_that_stops_the_other_axes(bench):
+    code, meaning = 0x4210, "the drive is too hot (error 0x4210)"
     bench.run(0.5, lambda now: SPEEDS)
     start = bench.now
-    bench.simulated.fail(2, code)
+    fail(bench, 2, code)
     bench.run(1.0, lambda now: SPEEDS, until=lambda: bench.stages.condition is Condition.FAULT)
     assert bench.now - start <= 0.3
     fault = bench.stages.trouble(bench.now)
@@ -54,9 +60,32 @@ def test_state_fault_is_reported_although_the_emergency_is_lost(bench):
     assert bench.cause.startswith("the stage outer_rotation is in the state 'fault'")
 
 
+@pytest.mark.parametrize("cause", ["enable input", "another program", "fault that heals"])
+def test_drive_that_is_switched_off_is_named_at_once_and_is_enabled_by_connecting_again(bench, cause):
+    bench.run(0.5, lambda now: SPEEDS)
+    drive, start = units(bench)[1], bench.now
+    match cause:
+        case "another program":
+            bench.simulated.receive(encode(Frame(COMMAND + drive.node, bytes(6))), bench.now)
+        case "fault that heals":
+            drive.fail(0x3220)
+            drive.state = DISABLED
+        case _:
+            drive.motor.stop()
+            drive.state = DISABLED
+    bench.run(1.0, lambda now: SPEEDS, until=lambda: bench.stages.condition is Condition.FAULT)
+    assert bench.now - start <= 0.02
+    assert bench.cause.startswith("the stage inner_rotation was switched off and receives no velocities")
+    assert "check its enable input, its supply and other programs on the bus, then connect again" in bench.cause
+    assert bench.run(0.5).speeds().tolist() == [0.0, 0.0, 0.0]
+    bench.connect().run(0.5, lambda now: SPEEDS)
+    assert bench.stages.condition is Condition.CONNECTED, bench.cause
+    assert (bench.speeds() > 0.0).all()
+
+
 def test_fault_of_a_drive_is_acknowledged_by_connecting_again(bench):
     bench.run(0.5, swing)
-    bench.simulated.fail(1, 0x3220)
+    fail(bench, 1, 0x3220)
     bench.run(0.3, swing)
     assert bench.stages.condition is Condition.FAULT
     bench.connect()
@@ -71,16 +100,6 @@ def test_stall_is_a_fault(bench):
     assert "inner_rotation reports: the position does not follow its command (error 0x8611)" in bench.cause
 
 
-def test_drives_stop_by_themselves_when_the_host_is_silent(bench):
-    bench.run(1.0, lambda now: SPEEDS)
-    # 100 ms without a heartbeat, of which the last is at most 24 ms old, then 172 ms of braking.
-    for _ in range(150):
-        bench.let_pass()
-    before = bench.positions
-    bench.let_pass(0.02)
-    assert bench.positions.tolist() == before.tolist()
-
-
 def test_drives_stop_within_a_tenth_of_a_second_and_the_braking_time_with_another_heartbeat_on_the_bus(bench):
     bench.run(1.0, lambda now: SPEEDS)
     for _ in range(150):  # the heartbeat of another node does not replace that of the host
@@ -89,17 +108,6 @@ def test_drives_stop_within_a_tenth_of_a_second_and_the_braking_time_with_anothe
     before = bench.positions
     bench.let_pass(0.02)
     assert bench.positions.tolist() == before.tolist()
-
-
-def test_missing_drive_is_named(paper):
-    bench = StagesBench(paper, "cia402")
-    units(bench)[1].node = 7
-    assert "the stage inner_rotation does not answer; is it powered" in bench.connect().cause
-
-
-def test_another_drive_on_a_known_node_is_refused(bench):
-    units(bench)[2].serial += 1
-    assert "inner_translation has serial number 3004; 3003 is expected" in bench.connect().cause
 
 
 def test_stop_precedes_the_velocities_of_its_tick(bench):

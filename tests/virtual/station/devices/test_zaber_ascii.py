@@ -1,9 +1,10 @@
-"""What only the ASCII driver does: warning flags, checksums and settings, on simulated devices in virtual time."""
+"""Special features of the ASCII driver in virtual time: warning flags, checksums and settings."""
 
 import pytest
 
 from station.devices.interfaces import Condition, Severity
-from station.lab.simulated_zaber import Faults
+from station.devices.zaber_ascii.sequences import OPTIONAL
+from station.lab.simulated_line import Faults
 from station.lab.simulated_zaber_ascii import AsciiUnit
 from tests.harness.stages_bench import StagesBench, swing
 
@@ -44,10 +45,35 @@ def test_warning_flag_is_reported_and_the_stages_stay_connected(bench):
     assert fault.text == "the stage outer_rotation: the controller is hot (flag WT)"
 
 
-def test_missing_device_is_named(paper):
+@pytest.mark.parametrize(("flag", "severity"), [("WL", Severity.WARN), ("FF", Severity.FAULT)])
+def test_flag_of_a_device_that_sends_alerts_without_a_request_is_reported(bench, flag, severity):
+    for unit in units(bench):
+        unit.settings["comm.alert"] = 1
+    bench.run(0.5, swing)
+    units(bench)[0].flags.add(flag)
+    bench.run(0.2, swing)
+    assert (fault := bench.stages.trouble(bench.now)) is not None
+    assert (fault.severity, f"(flag {flag})" in fault.text) == (severity, True)
+
+
+def test_stage_brakes_as_the_robots_file_states_although_another_program_has_set_its_deceleration(paper):
     bench = StagesBench(paper, "zaber_ascii")
-    units(bench)[1].number = 7
-    assert "the stage inner_rotation does not answer" in bench.connect().cause
+    for unit in units(bench):
+        unit.settings |= {"motion.decelonly": 5, "motion.accel.ramptime": 300}
+    bench.connect().run(1.0, lambda now: [0.3, -0.3, 0.015])
+    bench.stages.stop(bench.now)
+    bench.run(0.21)  # braking takes up to 0.172 s
+    assert bench.speeds().tolist() == [0.0, 0.0, 0.0]
+    assert {unit.settings["motion.accel.ramptime"] for unit in units(bench)} == {0}
+
+
+def test_firmware_without_separate_settings_of_the_ramps_connects(paper):
+    bench = StagesBench(paper, "zaber_ascii")
+    for unit in units(bench):
+        for name in OPTIONAL:
+            del unit.settings[name]
+        unit._ramp = lambda name: None
+    assert bench.connect().stages.ready, bench.cause
 
 
 def test_other_microstep_resolution_is_refused(paper):

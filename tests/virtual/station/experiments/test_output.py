@@ -167,34 +167,6 @@ def test_a_results_folder_that_cannot_be_created_is_refused_before_anything_runs
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
-def test_the_results_table_shows_the_papers_numbers_with_units(experiment):
-    case = {
-        "completed": True,
-        "cause": "",
-        "max_abs_error_mm": [15.25, 1.5, 3.125],
-        "true_max_abs_error_mm": [15.0, 1.0, 3.0],
-    }
-    lines = shown(experiment, {"cases": {"regulation": case}})
-
-    measured = next(line for line in lines if "measured" in line)
-    assert "max |E| measured [mm]" in measured
-    for number in ("regulation", "15.250", "1.500", "3.125", "x 15.5"):
-        assert number in measured
-    assert any("y 2.3" in line for line in lines)
-    assert any("z 1.1" in line for line in lines)
-    assert any("max |E| true [mm]" in line and "15.000" in line for line in lines)
-    assert experiment.title in " ".join(" ".join(lines).split())
-
-
-def test_the_results_table_of_a_real_run_shows_its_numbers(experiment, recording):
-    summary = summarise(recording)
-    lines = shown(experiment, {"cases": {"regulation": summary}})
-
-    true = next(line for line in lines if "max |E| true [mm]" in line)
-    for value in summary["true_max_abs_error_mm"]:
-        assert f"{value:.3f}" in true
-
-
 def test_the_results_table_shows_why_a_case_did_not_complete(experiment):
     case = {"completed": False, "cause": "no shape found under [1, 0, 0] N [bold]"}
     text = "\n".join(shown(experiment, {"cases": {"regulation": case}}, width=200))

@@ -1,4 +1,4 @@
-"""The experiment `palpate` in the virtual lab: the estimated stiffness is near that of the simulated tissue."""
+"""The experiment `palpate` in the virtual lab: the estimated stiffness is close to that of the simulated tissue."""
 
 import math
 from typing import Any
@@ -15,15 +15,15 @@ from station.experiments.runner import run_case
 
 
 def test_lump_is_found_by_what_a_bench_has() -> None:
-    row = {"columns": 3, "rows": 1, "spacing": 0.005}
-    case = load_experiment("palpate", {"trajectory": row, "duration": 30.0}, only="lump").cases[0]
+    row = {"columns": 2, "rows": 1, "spacing": 0.005, "travel": 3.0, "dwell": 2.0}
+    case = load_experiment("palpate", {"trajectory": row, "duration": 14.0}, only="lump").cases[0]
 
     recording = run_case(case, 4, VirtualClock(), lambda _: None)
 
     assert recording.completed, recording.cause
     found = summarise(recording)
     # 150 N/m and a lump of 250 N/m, 4 mm wide, at y = 3 mm and z = -3 mm; the row is at z = 0.
-    true = [150.0 + 250.0 * math.exp(-((y - 3.0) ** 2 + 9.0) / 16.0) for y in (-5.0, 0.0, 5.0)]
+    true = [150.0 + 250.0 * math.exp(-((y - 3.0) ** 2 + 9.0) / 16.0) for y in (-2.5, 2.5)]
     assert found["palpation"]["true_stiffness_N_per_m"] == [pytest.approx(true, abs=0.1)]
     assert found["palpation"]["stiffness_N_per_m"] == [pytest.approx(true, rel=0.12)]
     assert found["press"]["true_rms_error_N"] < 0.02
@@ -34,7 +34,8 @@ def test_lump_is_found_by_what_a_bench_has() -> None:
 
 def test_tip_that_finds_no_obstacle_gives_no_stiffness() -> None:
     changes: dict[str, Any] = {
-        "trajectory": {"columns": 1, "rows": 1, "reach": 0.004}, "load": {"distance": 0.02}, "duration": 10.0,
+        "trajectory": {"columns": 1, "rows": 1, "reach": 0.004, "travel": 2.0, "dwell": 2.0},
+        "load": {"distance": 0.02}, "duration": 6.0,
     }  # fmt: skip
     case = load_experiment("palpate", changes, only="lump").cases[0]
 

@@ -1,18 +1,14 @@
-"""Sweeps: their settings, and runs equal to single runs on any number of processes."""
-
-import os
-import signal
-from typing import Any
+"""Sweeps: their settings, runs equal to single runs, and statistics."""
 
 import numpy as np
 import pytest
 
 from station.config.strict import ConfigError
 from station.experiments.experiment import load_experiment
-from station.experiments.manifest import Row
 from station.experiments.results import summarise
-from station.experiments.sweep import on_processes, run_job, spreads, sweep_summary
-from station.experiments.sweep_plan import SweepJob, jobs, nested, plan_of, settings
+from station.experiments.sweep import run_job, spreads, sweep_summary
+from station.experiments.sweep_plan import jobs, nested, plan_of, settings
+from station.jobs.manifest import Row, difference
 from station.recording.metadata import versions
 from tests.harness.cases import a_run
 
@@ -51,87 +47,39 @@ def test_sweep_settings_apply_to_every_case(own):
     assert {(job.case.file.controller.feedforward, job.case.file.controller.k1) for job in listed} == {(False, 3.0)}
 
 
-def carried_out(listed: list[SweepJob], processes: int) -> tuple[list[Row], list[float]]:
-    """Return the rows in the order of the runs, and the reported numbers of runs."""
-    rows: list[Row] = []
-    reported: list[float] = []
-    on_processes(listed, processes, rows.append, reported.append)
-    return sorted(rows, key=lambda row: row["run"]), reported
-
-
 def without_clock(row: Row) -> Row:
     return {key: value for key, value in row.items() if key != "wall_s"}
 
 
 def test_runs_of_a_sweep_are_bit_for_bit_those_of_single_runs(own):
     listed = jobs(own, settings(["duration=0.4"]), [3, 4], "two")
-    before = {name: value for name, value in os.environ.items() if "THREADS" in name}
-    rows, reported = carried_out(listed, 2)
+    rows = [run_job(job, lambda _: None) for job in listed]
 
     assert [row["seed"] for row in rows] == [3, 4]
-    assert reported[-1] == 2
     for row, job in zip(rows, listed, strict=True):
         alone = summarise(a_run(job.case, job.seed))
         assert alone["completed"]
         about = {"run": job.run, "setting": {"duration": 0.4}, "case": "two", "seed": job.seed, "versions": versions()}
         assert without_clock(row) == {**about, **without_clock(alone)}
     assert rows[0]["rms_error_mm"] != rows[1]["rms_error_mm"]
-    assert {name: value for name, value in os.environ.items() if "THREADS" in name} == before
-
-
-def die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-class Deadly(str):
-    """Text that kills the process that unpickles it."""
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return die, ()
-
-
-def spoilt(listed: list[SweepJob], run: int, **how: Any) -> list[SweepJob]:
-    """Return the jobs with an invalid case for one of them."""
-    return [job._replace(case=job.case._replace(**how)) if job.run == run else job for job in listed]
 
 
 def test_a_sweep_run_that_raises_an_exception_is_a_row_with_the_reason(own):
-    listed = spoilt(jobs(own, settings(["duration=0.2"]), range(1)), 0, start=np.zeros(7))
-    rows, _ = carried_out(listed, 1)
+    job = jobs(own, settings(["duration=0.2"]), range(1))[0]
+    row = run_job(job._replace(case=job.case._replace(start=np.zeros(7))), lambda _: None)
 
     about = {"run": 0, "setting": {"duration": 0.2}, "case": "one", "seed": 0, "versions": versions()}
-    assert rows[0] == {**about, "completed": False, "cause": rows[0]["cause"]}
-    assert "Error: " in rows[0]["cause"]
-    assert rows[0] == run_job(listed[0], lambda _: None)
-    assert rows[1]["completed"]
-
-
-def test_a_sweep_run_that_kills_its_process_loses_no_other_run(own):
-    listed = jobs(own, settings(["duration=0.2"]), range(2))
-    rows, reported = carried_out(spoilt(listed, 1, warnings=(Deadly(),)), 2)
-
-    assert [row["completed"] for row in rows] == [True, False, True, True]
-    assert "a worker process ended before its job was done; was it killed" in rows[1]["cause"]
-    for run in (0, 2, 3):
-        assert without_clock(rows[run]) == without_clock(run_job(listed[run], lambda _: None))
-    assert reported[-1] == 4
+    assert row == {**about, "completed": False, "cause": row["cause"]}
+    assert "Error: " in row["cause"]
 
 
 def synthetic_rows(values: list[float], broken: int = -1) -> list[Row]:
     """Return synthetic rows of the first setting and case."""
+    about = {"setting": {"controller.k1": 1}, "case": "one", "versions": {}, "cause": "", "wall_s": 1.0}
     return [
-        {
-            "run": seed,
-            "setting": {"controller.k1": 1},
-            "case": "one",
-            "seed": seed,
-            "versions": {},
-            "completed": seed != broken,
-            "cause": "",
-            "wall_s": 1.0,
-            "rms_error_mm": [value, 2.0, 3.0],
-            "step": {"rate": value},
-        }
+        about
+        | {"run": seed, "seed": seed, "completed": seed != broken, "rms_error_mm": [value, 2.0, 3.0]}
+        | {"step": {"rate": value}}
         for seed, value in enumerate(values)
     ]
 
@@ -169,8 +117,8 @@ def test_a_sweep_plan_depends_on_the_contents_of_its_files_and_not_on_their_fold
         chosen = settings([f"lab='{lab}'"])
         return plan_of(load_experiment(name, nested(chosen[0])), jobs(name, chosen, range(2)))
 
-    first = plan()
+    first = plan().model_dump()
     monkeypatch.chdir(tmp_path)
-    assert plan("own.toml").difference(first) == ""
+    assert difference(first, plan("own.toml").model_dump()) == ""
     write('title = "a lab"\n[tracker]\nnoise = 0.3e-3\n', "lab")
-    assert plan().difference(first) == "a robot, lab, calibration or motion that the experiment names has changed since"
+    assert difference(first, plan().model_dump()) == "contents has changed since"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from station.devices.aurora.protocol import ReplyReader, ToolState, framed, parse_bx, parse_tx
-from station.devices.links.link import LinkError
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import TrackerConfig
-from station.lab.simulated_aurora import MAX_PENDING_COMMANDS, SimulatedAurora, pump
-from station.lab.wires import BUFFER_BYTES, HostPort
+from station.lab.simulated_aurora import MAX_PENDING_COMMANDS, SimulatedAurora
+from station.lab.wires import BUFFER_BYTES
 from tests.fuzz.aurora import fuzz
 
 TIP = np.array([0.010, -0.020, 0.190])
@@ -63,7 +62,6 @@ def test_documented_exchange_of_the_aurora_protocol():
     host = Host()
 
     assert host.send(b"INIT:E3A5\r") == b"OKAYA896\r"
-    assert host.send(b"GETINFO:Features.Firmware.Version0492\r").startswith(b"Features.Firmware.Version=")
     assert host.send(b"COMM:500000048\r") == b"OKAYA896\r"
     version = host.send(b"VER:065EE\r")
     assert b"\nFreeze Tag: AURORA Rev 009\n" in version
@@ -77,27 +75,7 @@ def test_documented_exchange_of_the_aurora_protocol():
     assert host.send(b"TX:0801C19B\r") == b"ERROR0C4E42\r"
 
 
-def test_aurora_command_with_a_space_needs_no_crc_and_accepts_lower_case_handles():
-    host = Host()
-
-    for command in (b"INIT \r", b"PINIT 0a\r", b"PENA 0aD\r", b"TSTART \r"):
-        assert host.send(command) == b"OKAYA896\r"
-    assert host.send(b"BX 0801\r")[:2] == b"\xc4\xa5"
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "COMM:50000",
-        "GETINFO:Features.Firmware.Version",
-        "VER:0",
-        "APIREV:",
-        "SFLIST:00",
-        "BEEP:1",
-        "PHSR:02",
-        "PHSR:03",
-    ],
-)
+@pytest.mark.parametrize("command", ["COMM:50000", "VER:0", "PHSR:02", "PHSR:03"])
 def test_simulated_aurora_answers_queries_before_it_is_initialised(command):
     assert not str(Host().request(command)).startswith("ERROR")
 
@@ -137,21 +115,13 @@ def test_aurora_port_handle_goes_through_its_documented_states():
     host = Host()
     host.request("INIT:")
     states = [host.request("PHSR:00")]
-    for command in ("PINIT:0A", "PENA:0AD", "PDIS:0A"):
+    for command in ("PINIT:0A", "PENA:0AD", "PHF:0A"):
         assert host.request(command) == "OKAY"
         states.append(host.request("PHSR:00"))
 
-    assert states == ["010A001", "010A011", "010A031", "010A011"]
-    assert host.request("PHSR:03") == "010A011"
+    assert states == ["010A001", "010A011", "010A031", "010A001"]
+    assert host.request("PHSR:02") == "010A001"
     assert host.request("PHSR:04") == "00"
-
-
-def test_aurora_command_phinf_returns_fields_in_the_order_of_the_bits():
-    information = str(Host().request("PHINF:0A0025"))
-
-    assert len(information) == 33 + 20 + 14
-    assert information[23:31] == "3A5C1D00"
-    assert information[31:33] == "01"
 
 
 def test_transmission_of_an_aurora_frame_takes_68_ms_at_9600_baud_and_6_ms_at_115200():
@@ -174,45 +144,6 @@ def test_transmission_of_an_aurora_frame_takes_68_ms_at_9600_baud_and_6_ms_at_11
     assert exchange(fast) == pytest.approx(0.0056 + 0.0005, abs=0.002)
 
 
-def test_aurora_baud_rate_changes_after_the_reply_to_the_command():
-    host = Host()
-
-    assert host.send(framed("COMM:50000"), baud=9600) == b"OKAYA896\r"
-    assert host.unit.baud == 115200
-    assert host.send(framed("VER:0"), baud=115200).startswith(b"NDI Aurora")
-
-
-def test_aurora_and_host_receive_garbage_at_the_wrong_baud_rate():
-    host = Host()
-    host.request("COMM:50000")
-
-    assert ReplyReader().feed(host.send(framed("INIT:"), baud=9600)) == []
-    assert "INIT:" not in host.unit.executed
-    host.send(b"\r", baud=115200)
-    assert host.request("INIT:") == "OKAY"
-
-
-def test_break_resets_the_simulated_aurora_to_9600_baud():
-    host = Host().track()
-    host.unit.restart(host.now)
-
-    assert host.send(b"", 1.0) == b"RESETBE6F\r"
-    assert host.unit.baud == 9600
-    assert host.request("TX:0801") == "ERROR0C"
-    assert host.request("PHSR:02") == "010A001"
-
-
-def test_aurora_line_in_memory_transmits_a_break():
-    port, unit = HostPort("aurora"), SimulatedAurora(TrackerConfig(), np.random.default_rng(0))
-    unit.baud = 115200
-    port.set_break(True)
-    port.set_break(False)
-    pump(port.device, unit, 0.0)
-    pump(port.device, unit, 1.0)
-
-    assert port.read() == b"RESETBE6F\r"
-
-
 def test_simulated_aurora_bounds_its_backlog_in_a_flood_of_commands():
     host = Host().track()
     replies = ReplyReader().feed(host.send(framed("BX:0801") * 5000, 20.0))
@@ -220,36 +151,6 @@ def test_simulated_aurora_bounds_its_backlog_in_a_flood_of_commands():
     assert 0 < len(replies) <= 2 * MAX_PENDING_COMMANDS
     host.send(b"\r")  # the CR ends the command that was cut by the full buffer
     assert host.request("TSTOP:") == "OKAY"
-
-
-def test_aurora_port_in_memory_keeps_at_most_its_buffer():
-    port = HostPort("aurora")
-    port.write(b"x" * 3 * BUFFER_BYTES)
-    port.device.write(b"y" * 3 * BUFFER_BYTES)
-
-    assert port.device.read() == b"x" * BUFFER_BYTES
-    assert port.read() == b"y" * BUFFER_BYTES
-
-
-def test_simulated_tracker_measures_40_frames_a_second_and_repeats_the_latest():
-    host = Host().track()
-    frames = []
-    for _ in range(200):
-        (tool,) = parse_bx(bytes(host.request("BX:0801", 0.010))).tools
-        frames.append(tool.frame)
-
-    steps = np.diff(np.array(frames, dtype=int))
-    assert set(steps) == {0, 1}
-    assert frames[-1] - frames[0] == pytest.approx(80, abs=1)
-
-
-def test_aurora_frame_is_reported_after_its_latency():
-    host = Host().track()
-    for _ in range(100):
-        requested = host.now
-        (tool,) = parse_bx(bytes(host.request("BX:0801", 0.007))).tools
-        # The latency of 24 ms includes 4.6 ms for the reply; the request takes 1 ms.
-        assert tool.frame / 40.0 + 0.024 - 0.0046 <= requested + 0.0011
 
 
 def test_aurora_commands_bx_and_tx_report_the_position_of_the_tip():
@@ -285,63 +186,14 @@ def test_simulated_tracker_has_the_configured_noise():
     host = Host(noise=0.1e-3)
     host.track()
     positions = {}
-    for _ in range(4000):
-        (tool,) = parse_bx(bytes(host.request("BX:0801", 0.012))).tools
+    for _ in range(800):
+        (tool,) = parse_bx(bytes(host.request("BX:0801", 0.025))).tools
         assert tool.transform is not None
         positions[tool.frame] = tool.transform.position
     noise = np.array(list(positions.values())) - SEEN
 
+    assert len(noise) > 700
     assert noise.std(axis=0) == pytest.approx([0.1] * 3, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("beyond", "options", "state"),
-    [
-        (0.02, "0801", ToolState.VALID),
-        (0.02, "0001", ToolState.MISSING),
-        (0.20, "0801", ToolState.MISSING),
-    ],
-)
-def test_coil_outside_the_volume_is_reported(beyond, options, state):
-    host = Host()
-    host.tip = np.array([0.250 + beyond, 0.0, 0.190])
-    host.track()
-    for reply in (parse_bx(bytes(host.request(f"BX:{options}"))), parse_tx(str(host.request(f"TX:{options}")))):
-        (tool,) = reply.tools
-        assert tool.state is state
-        assert tool.port_status == 0x71
-
-
-def test_lost_aurora_tool_is_reported_missing():
-    host = Host().track()
-    host.unit.faults.tool_lost = True
-    host.send(b"", 0.1)
-    (tool,) = parse_bx(bytes(host.request("BX:0801"))).tools
-
-    assert (tool.state, tool.port_status) == (ToolState.MISSING, 0x31)
-
-
-def test_replugged_aurora_tool_gets_another_handle_and_sets_the_system_status():
-    host = Host().track()
-    host.unit.unplug()
-    assert [tool.state for tool in parse_bx(bytes(host.request("BX:0801"))).tools] == [ToolState.DISABLED]
-    assert [tool.state for tool in parse_tx(str(host.request("TX:0801"))).tools] == [ToolState.UNOCCUPIED]
-    host.unit.plug()
-
-    assert parse_bx(bytes(host.request("BX:0801"))).system_status & 0x40
-    assert host.request("PHSR:01") == "010A030"
-    assert host.request("PHSR:02") == "010B001"
-    assert parse_bx(bytes(host.request("BX:0801"))).system_status == 0
-
-
-def test_aurora_command_tstart_80_restarts_the_frame_count():
-    host = Host().track()
-    host.request("TSTOP:")
-    host.request("TSTART:80", 0.1)
-    (tool,) = parse_bx(bytes(host.request("BX:0801", 0.01))).tools
-
-    assert tool.frame is not None
-    assert tool.frame <= 4
 
 
 def test_each_aurora_fault_changes_the_line():
@@ -363,42 +215,8 @@ def test_each_aurora_fault_changes_the_line():
     assert len(host.send(framed("BX:0801"))) == 53
 
 
-def test_port_with_a_pulled_cable_is_dead_until_it_is_reopened():
-    port, unit = HostPort("aurora"), SimulatedAurora(TrackerConfig(), np.random.default_rng(0))
-    port.write(framed("INIT:"))
-    port.device.unplug()
-    for now in (0.1, 0.2):
-        pump(port.device, unit, now)
-    for use in (port.read, lambda: port.write(b"x"), port.reopen):
-        with pytest.raises(LinkError, match=r"aurora .*plugged"):
-            use()
-    port.device.plug()
-    with pytest.raises(LinkError, match="gone"):
-        port.read()
-    port.reopen()
-    pump(port.device, unit, 0.3)
-    assert port.read() == b""  # bytes in transmission are lost
-    port.write(framed("INIT:"))
-    for now in (0.4, 0.5, 0.6):
-        pump(port.device, unit, now)
-    assert port.read() == framed("OKAY")
-
-
-def test_aurora_with_the_same_seed_measures_the_same():
-    def seen(seed: int) -> bytes:
-        host = Host(noise=1e-4)
-        host.unit = SimulatedAurora(TrackerConfig(), np.random.default_rng(seed))
-        host.track()
-        return host.send(framed("BX:0801"))
-
-    assert seen(3) == seen(3)
-    assert seen(3) != seen(4)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_disturbed_aurora_line_harms_neither_tracker_nor_host(seed):
-    result = fuzz(5000, seed)
+def test_disturbed_aurora_line_harms_neither_tracker_nor_host():
+    result = fuzz(2000, seed=0)
 
     assert (result["exceptions"], result["hangs"], result["false_accepts"]) == (0, 0, 0)
-    assert result["cases"] >= 5000
-    assert result["good_frames"] > 500
+    assert result["good_frames"] > 200

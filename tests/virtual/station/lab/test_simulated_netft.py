@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from station.lab.config import BaseSensorConfig
+from station.lab.wires import MAX_PENDING_DATAGRAMS
 from tests.harness.netft_bench import PERFECT, STREAM, TICK, WRENCH, Bench
 
 
@@ -23,7 +24,7 @@ def test_record_of_the_simulated_netft_box_equals_the_documented_one():
     assert first.hex(" ", 4) == "00000001 0000192f 00000000 000f4240 ffe17b80 002dc6c0 00002710 ffffb1e0 00007530"
 
 
-@pytest.mark.parametrize(("requested", "step"), [(500.0, 14), (1000.0, 7), (7000.0, 1), (3000.0, 2), (50.0, 140)])
+@pytest.mark.parametrize(("requested", "step"), [(500.0, 14), (7000.0, 1), (3000.0, 2)])
 def test_record_rate_of_the_netft_box_is_7000_over_a_whole_number(requested, step):
     bench = Bench(rate=requested)
     bench.request(STREAM)
@@ -55,37 +56,6 @@ def test_netft_box_sends_the_requested_number_of_samples_and_obeys_stop():
     assert bench.run(0.1) == []
 
 
-def test_netft_box_serves_only_the_latest_client():
-    bench = Bench()
-    other = bench.end.link("other")
-    bench.request(STREAM)
-    assert bench.run(0.1)
-    bench.request(STREAM, other)
-    assert bench.run(0.1) == []
-    assert other.receive()
-
-
-def test_long_netft_request_selects_the_receiving_host():
-    bench = Bench()
-    elsewhere = bench.end.link("10.0.0.7")
-    bench.request("1234 8002 00000000 0a000007 " + f"{elsewhere.address[1]:04x}")
-
-    assert bench.run(0.1) == []
-    assert len(elsewhere.receive()) > 40
-
-
-def test_buffered_netft_stream_has_several_records_per_datagram():
-    bench = Bench(buffer=10)
-    bench.request("1234000300000019")  # request of 25 records
-    lengths = []
-    for _ in range(100):
-        bench.now += TICK
-        bench.box.advance(bench.now, WRENCH)
-        lengths += [len(datagram) / 36 for datagram in bench.host.receive()]
-
-    assert lengths == [10, 10, 5]
-
-
 def test_netft_bias_zeroes_the_present_reading_during_the_stream():
     bench = Bench()
     bench.request(STREAM)
@@ -97,25 +67,6 @@ def test_netft_bias_zeroes_the_present_reading_during_the_stream():
     assert records[0][0] > 1
     assert bench.run(0.01, 2.0 * WRENCH)[-1][3:] == (1_000_000, -2_000_000, 3_000_000, 10_000, -20_000, 30_000)
     assert b"<setbias>1000000;-2000000;3000000;10000;-20000;30000</setbias>" in (bench.box.page() or b"")
-
-
-def test_netft_threshold_latch_stays_until_it_is_reset():
-    bench = Bench()
-    bench.box.faults.status = 1 << 16
-    bench.request(STREAM)
-    assert {r[2] for r in bench.run(0.05)} == {0x80010000}
-    bench.request("1234004100000000")
-    assert {r[2] for r in bench.run(0.05)[1:]} == {0}  # the first record was already in transmission
-
-
-@pytest.mark.parametrize(
-    "request_", ["", "1234", "12340002000000", "123400020000000000", "4321000200000000", "12348002000000000a000007"]
-)
-def test_invalid_netft_request_is_ignored(request_):
-    bench = Bench()
-    bench.request(request_)
-
-    assert bench.run(0.1) == []
 
 
 def test_first_netft_record_is_on_time_and_all_records_have_the_latency():
@@ -164,16 +115,6 @@ def test_simulated_force_sensor_has_the_configured_noise_quantisation_offset_and
     assert np.abs(drift[:3]) == pytest.approx([30.0 * 5e-3 / 60.0] * 3, abs=1.5e-3)
 
 
-def test_netft_box_sends_the_same_bytes_for_the_same_seed_only():
-    def sent(seed: int) -> list[tuple[int, ...]]:
-        bench = Bench(BaseSensorConfig(), seed)
-        bench.request(STREAM)
-        return bench.run(0.5)
-
-    assert sent(3) == sent(3)
-    assert sent(3) != sent(4)
-
-
 @pytest.mark.parametrize(("axis", "value", "end"), [(0, 18.5, 18_000_000), (4, -0.3, -250_000)])
 def test_simulated_force_sensor_saturates_and_reports_it_beyond_its_range(axis, value, end):
     bench, wrench = Bench(), np.zeros(6)
@@ -201,3 +142,15 @@ def test_gain_errors_and_cross_talk_are_linear_fractions_of_the_sensor_ranges():
     assert np.abs(parts[:3, 3:]).max() > 0.003  # by cross-talk a moment appears as a force
     assert read(WRENCH) == pytest.approx(WRENCH + response @ WRENCH, abs=5e-6)
     assert read(WRENCH, 0.0) == pytest.approx(WRENCH, abs=2e-6)
+
+
+def test_number_of_unreceived_netft_records_is_bounded():
+    bench = Bench(rate=7000.0)
+    bench.request(STREAM)
+    for _ in range(1000):
+        bench.now += TICK
+        bench.box.advance(bench.now, WRENCH)
+
+    newest = [struct.unpack(">I", datagram[:4])[0] for datagram in bench.host.receive()]
+    assert len(newest) == MAX_PENDING_DATAGRAMS
+    assert newest == list(range(newest[-1] - MAX_PENDING_DATAGRAMS + 1, newest[-1] + 1))

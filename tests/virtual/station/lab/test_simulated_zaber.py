@@ -1,14 +1,13 @@
 """Faults of a simulated chain of Zaber stages have the documented effects."""
 
-from itertools import pairwise
-
 import pytest
 
-from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberMessage, decode, encode, with_id
-from station.lab.simulated_zaber import BUFFER_BYTES, RENUMBER_TIME_S, Faults, SimulatedChain, pump
-from station.lab.wires import HostPort
-from station.lab.zaber_unit import Unit, UnitKind, quickest_motion
-from tests.harness.real_lines import pty_line, socket_line
+from station.devices.zaber.protocol import BYTE_TIME_S, MESSAGE_TIME_S, ZaberMessage, encode, with_id
+from station.lab.motor import quickest_motion
+from station.lab.simulated_line import Faults
+from station.lab.simulated_zaber import RENUMBER_TIME_S, Unit, UnitKind, simulated_chain
+from station.lab.wires import BUFFER_BYTES
+from tests.fuzz.zaber import fuzz
 from tests.harness.zaber_wire import LINEAR, RAMP, ROTARY, SPEED, Wire
 
 
@@ -16,12 +15,12 @@ from tests.harness.zaber_wire import LINEAR, RAMP, ROTARY, SPEED, Wire
 def wire() -> Wire:
     """Return a chain of two rotary units and a linear unit, homed and at position 100000 [microsteps]."""
     units = [Unit(ROTARY, 1, 1e5, 1e5), Unit(ROTARY, 2, 1e5, 1e5), Unit(LINEAR, 3, 1e5, 1e5)]
-    return Wire(SimulatedChain(units))
+    return Wire(simulated_chain(units))
 
 
 def test_documented_exchanges_of_the_zaber_manual():
     units = [Unit(UnitKind(4421, 1000, serial=1001), 1), Unit(UnitKind(4421, 1000), 2), Unit(UnitKind(4332, 1000), 3)]
-    wire = Wire(SimulatedChain(units))
+    wire = Wire(simulated_chain(units))
 
     assert wire.talk("00 32 00 00 00 00") == ["01 32 45 11 00 00", "02 32 45 11 00 00", "03 32 ec 10 00 00"]
     assert wire.talk("01 35 65 00 00 00") == ["01 ff 35 00 00 00"]  # error 53: the setting 101 is unknown
@@ -31,24 +30,6 @@ def test_documented_exchanges_of_the_zaber_manual():
     assert wire.talk("01 35 25 00 00 00") == ["01 25 40 00 00 00"]  # the reply carries the setting's number
     assert wire.talk("01 35 42 00 00 00") == ["01 ff 35 00 00 00"]  # error 53: the unit has no peripheral ID
     assert wire.talk("04 32 00 00 00 00") == []  # no unit answers
-
-
-def test_zaber_request_and_reply_take_twice_the_time_of_a_message(wire):
-    wire.send(3, 55, 77)
-
-    assert wire.wait(2 * MESSAGE_TIME_S - 2e-4, tick=1e-4) == []
-    assert wire.wait(4e-4, tick=1e-4) == [ZaberMessage(3, 55, 77)]
-
-
-def test_zaber_line_transmits_160_messages_a_second_in_each_direction(wire):
-    for k in range(320):
-        wire.send(1, 55, k)
-    received = wire.wait(2.0 + MESSAGE_TIME_S + 1e-3)
-
-    assert len(received) == 320
-    assert [message.data for message in received] == list(range(320))
-    early = [time for time, _ in wire.received if time <= 1.0015]
-    assert len(early) == 159  # the first second lacks the transmission of the first message
 
 
 def test_bytes_on_the_zaber_line_arrive_one_at_a_time(wire):
@@ -82,7 +63,7 @@ def test_bytes_beyond_the_zaber_port_buffer_are_lost(wire):
 
 
 def test_backlog_of_zaber_replies_to_broadcasts_is_bounded(wire):
-    for _ in range(60):  # 60 s of queries to all three; three replies take three times as long as a query
+    for _ in range(6):  # 6 s of queries to all three; three replies take three times as long as a query
         for _ in range(160):
             wire.send(0, 60)
         wire.wait(1.0)
@@ -101,17 +82,6 @@ def test_zaber_command_22_is_answered_at_once_and_command_20_at_the_end_of_the_m
     assert wire.received[-1][0] == pytest.approx(0.014 + 2 * MESSAGE_TIME_S + 50_000 / top + top / ramp, abs=2e-3)
 
 
-def test_preempted_zaber_move_gets_no_reply(wire):
-    wire.send(1, 20, 500_000)
-    wire.wait(0.2)
-    wire.send(1, 21, -1000)
-    received = wire.wait(5.0)
-
-    assert [message.command for message in received] == [21]
-    where = wire.chain.units[0].position
-    assert received[0].data == where
-
-
 def test_zaber_stop_brakes_with_the_acceleration_and_replies_with_the_position(wire):
     wire.request(1, 43, 38)
     wire.request(1, 22, 9102, seconds=1.0)
@@ -128,13 +98,8 @@ def test_zaber_stop_brakes_with_the_acceleration_and_replies_with_the_position(w
     assert wire.request(1, 54) == [ZaberMessage(1, 54, 0)]
 
 
-@pytest.mark.parametrize(
-    ("command", "status"), [((22, 500), 22), ((20, 600_000), 20), ((21, 1000), 21), ((1, 0), 1), ((18, 3), 18)]
-)
+@pytest.mark.parametrize(("command", "status"), [((22, 500), 22), ((20, 600_000), 20), ((21, 1000), 21), ((1, 0), 1)])
 def test_zaber_status_reports_the_present_motion(wire, command, status):
-    wire.request(3, 20, 400_000, seconds=20.0)
-    wire.request(3, 16, 3)
-    wire.request(3, 20, 100_000, seconds=20.0)
     wire.request(3, 42, 300)
     wire.request(3, *command)
 
@@ -148,13 +113,6 @@ def test_zaber_motion_at_constant_speed_ends_at_the_limit_with_a_message(wire, s
     assert received == [ZaberMessage(3, 22, speed), ZaberMessage(3, 9, end)]
     assert wire.chain.units[2].position == end
     assert wire.request(3, 22, speed, seconds=0.1)[-1] == ZaberMessage(3, 9, end)
-
-
-def test_zaber_speed_zero_ends_a_motion_as_a_limit_does(wire):
-    wire.request(3, 22, 1000, seconds=0.5)
-    received = wire.request(3, 22, 0, seconds=0.5)
-
-    assert received == [ZaberMessage(3, 22, 0), ZaberMessage(3, 9, round(wire.chain.units[2].position))]
 
 
 @pytest.mark.parametrize(
@@ -175,7 +133,7 @@ def test_zaber_speed_zero_ends_a_motion_as_a_limit_does(wire):
         (45, -1, 45),
         (48, 255, 48),
         (53, 200, 53),
-        (17, 16, 1700),
+        (16, 5, 64),
         (200, 0, 64),
         (36, 5, 36),
         (2, 255, 2),
@@ -185,14 +143,9 @@ def test_zaber_errors_have_the_numbers_of_the_manual(wire, command, data, code):
     assert wire.request(3, command, data) == [ZaberMessage(3, 255, code)]
 
 
-def test_zaber_move_with_a_speed_limit_of_zero_fails(wire):
-    wire.request(3, 42, 0)
-    assert wire.request(3, 20, 5) == [ZaberMessage(3, 255, 20)]
-
-
 def test_zaber_homing_finds_the_sensor_and_replies_at_the_end():
     unit = Unit(LINEAR, 1, true_position=300_000.0)  # after power-up the unit does not know its position
-    wire = Wire(SimulatedChain([unit]))
+    wire = Wire(simulated_chain([unit]))
     assert wire.request(1, 60) == [ZaberMessage(1, 60, 0)]
     wire.request(1, 41, 5000)
     wire.send(1, 1)
@@ -203,15 +156,7 @@ def test_zaber_homing_finds_the_sensor_and_replies_at_the_end():
     assert wire.request(1, 53, 40)[0].data & 1 << 7
 
 
-def test_zaber_home_offset_moves_the_zero(wire):
-    wire.request(3, 47, 5000)
-    wire.request(3, 1, seconds=30.0)
-
-    assert wire.chain.units[2].true_position == pytest.approx(5000.0, abs=1e-6)
-    assert wire.request(3, 60) == [ZaberMessage(3, 60, 0)]
-
-
-@pytest.mark.parametrize("command", [1, 18, 20, 21, 22, 23])
+@pytest.mark.parametrize("command", [1, 20, 21, 22, 23])
 def test_zaber_unit_is_busy_while_it_homes(wire, command):
     wire.request(3, 1)
     assert wire.request(3, command) == [ZaberMessage(3, 255, 255)]
@@ -247,24 +192,6 @@ def test_each_write_of_the_zaber_mode_replaces_all_bits_and_the_homed_flag(wire)
     assert wire.request(3, 53, 40) == [ZaberMessage(3, 40, 1 << 3 | 1 << 7)]
 
 
-def test_setting_the_zaber_position_changes_the_count_and_does_not_move_the_stage(wire):
-    place = wire.chain.units[0].true_position
-    assert wire.request(1, 45, 1_536_000) == [ZaberMessage(1, 45, 1_536_000)]
-    assert wire.chain.units[0].true_position == place
-    wire.request(1, 44, 3_072_000)
-    wire.request(1, 21, 1000, seconds=1.0)
-    assert wire.chain.units[0].true_position == place + 1000
-
-
-def test_zaber_move_tracking_reports_every_quarter_of_a_second(wire):
-    wire.request(3, 40, 1 << 4)
-    wire.request(3, 20, 300_000, seconds=5.0)
-    times = [time for time, message in wire.received if message.command == 8]
-
-    assert len(times) >= 8
-    assert [b - a for a, b in pairwise(times)] == pytest.approx([0.25] * (len(times) - 1), abs=2e-3)
-
-
 def test_zaber_message_ids_are_echoed_and_a_move_keeps_its_id(wire):
     wire.request(3, 40, 1 << 6)
     assert wire.request(3, 60, with_id(0, 1)) == [ZaberMessage(3, 60, with_id(100_000, 1))]
@@ -277,7 +204,7 @@ def test_zaber_message_ids_are_echoed_and_a_move_keeps_its_id(wire):
 
 
 def test_zaber_units_ignore_commands_for_half_a_second_after_renumbering():
-    wire = Wire(SimulatedChain([Unit(ROTARY, 9), Unit(LINEAR, 9)]))
+    wire = Wire(simulated_chain([Unit(ROTARY, 9), Unit(LINEAR, 9)]))
     wire.send(0, 2)
     wire.wait(0.02)
     assert wire.received[0][1] == ZaberMessage(1, 2, 4421)
@@ -290,30 +217,9 @@ def test_zaber_units_ignore_commands_for_half_a_second_after_renumbering():
     assert wire.request(77, 60) == [ZaberMessage(77, 60, 0)]
 
 
-def test_knob_moves_a_zaber_stage_unless_the_knob_is_disabled(wire):
-    wire.chain.turn_knob(3, 500)
-    assert wire.wait(0.05) == [ZaberMessage(3, 10, 100_500)]
-    wire.request(3, 40, 1 << 3)
-    wire.chain.turn_knob(3, 500)
-    assert wire.wait(0.05) == []
-    assert wire.request(3, 60) == [ZaberMessage(3, 60, 100_500)]
-
-
-def test_zaber_positions_are_stored_and_recalled(wire):
-    assert wire.request(3, 16, 5) == [ZaberMessage(3, 16, 5)]
-    wire.request(3, 21, 5000, seconds=2.0)
-    assert wire.request(3, 17, 5) == [ZaberMessage(3, 17, 100_000)]
-    assert wire.request(3, 18, 5, seconds=2.0) == [ZaberMessage(3, 18, 100_000)]
-
-
 def test_locked_zaber_unit_keeps_its_settings(wire):
     wire.request(3, 49, 1)
     assert wire.request(3, 43, 5) == [ZaberMessage(3, 255, 3600)]
-
-
-def test_zaber_unit_accepts_its_alias_and_reports_its_voltage(wire):
-    wire.request(3, 48, 20)
-    assert wire.request(20, 52) == [ZaberMessage(3, 52, 150)]
 
 
 @pytest.mark.parametrize(
@@ -332,40 +238,6 @@ def test_zaber_motion_ends_at_rest_at_its_goal_within_the_speed_limit(start, vel
     assert position == pytest.approx(goal, abs=1e-6)
     assert speed == pytest.approx(0.0, abs=1e-6)
     assert fastest <= max(top, abs(velocity)) + 1e-6
-
-
-def test_zaber_motion_does_not_depend_on_the_polling_rate():
-    def positions(tick: float) -> list[float]:
-        wire = Wire(SimulatedChain([Unit(LINEAR, 1, 1e5, 1e5)]))
-        for speed in (500, -3000, 2000, 0):
-            wire.send(1, 22, speed)
-            wire.wait(0.4, tick)
-        return wire.chain.true_positions
-
-    assert positions(0.002) == pytest.approx(positions(0.05), abs=1e-6)
-
-
-def test_zaber_query_gets_the_same_answer_over_pipe_pty_and_socket():
-    """The answer to a query does not depend on the kind of link."""
-    host = HostPort("chain")
-    device = host.device
-    assert queried(host, device) == ZaberMessage(2, 50, 4332)
-
-    for line in (pty_line, socket_line):
-        with line() as (near, far):
-            assert queried(near, far) == ZaberMessage(2, 50, 4332)
-
-
-def queried(host, device) -> ZaberMessage:
-    """Return the answer of unit 2 to a query."""
-    chain, now, received = SimulatedChain([Unit(ROTARY, 1), Unit(LINEAR, 2)]), 0.0, b""
-    host.write(encode(ZaberMessage(2, 50, 0)))
-    while len(received) < 6:
-        assert now < 1.0
-        now += 0.001
-        pump(device, chain, now)
-        received += host.read()
-    return decode(received)
 
 
 class TestFaults:
@@ -403,10 +275,10 @@ class TestFaults:
     def test_stalled_zaber_motor_counts_steps_without_moving(self, wire):
         wire.chain.faults = Faults(stalled=frozenset({3}))
         assert wire.request(3, 21, 5000, seconds=2.0) == [ZaberMessage(3, 21, 105_000)]
-        assert wire.chain.true_positions[2] == 100_000
+        assert wire.chain.units[2].true_position == 100_000
         wire.chain.faults = Faults()
         wire.request(3, 21, -1000, seconds=2.0)
-        assert wire.chain.true_positions[2] == 99_000  # the unit's count stays wrong until the unit is homed
+        assert wire.chain.units[2].true_position == 99_000  # the unit's count stays wrong until the unit is homed
 
     def test_stalled_zaber_motor_does_not_find_home(self, wire):
         wire.chain.faults = Faults(stalled=frozenset({3}))
@@ -414,7 +286,7 @@ class TestFaults:
 
     def test_zaber_motor_loses_steps_at_a_hard_stop(self):
         unit = Unit(LINEAR, 1, true_position=600_000.0, count=0.0)  # homing has set a wrong count
-        wire = Wire(SimulatedChain([unit]))
+        wire = Wire(simulated_chain([unit]))
         wire.request(1, 20, 50_000, seconds=10.0)
         assert unit.position == 50_000
         assert unit.true_position == pytest.approx(604_724 + 2000)
@@ -423,15 +295,8 @@ class TestFaults:
         wire.chain.power_cycle(3)
         wire.wait(0.6)
         assert wire.request(3, 60) == [ZaberMessage(3, 60, 0)]
-        assert wire.chain.true_positions[2] == 100_000
+        assert wire.chain.units[2].true_position == 100_000
 
-    def test_chain_damages_the_same_bytes_for_the_same_seed(self):
-        def received(seed: int) -> list[ZaberMessage]:
-            wire = Wire(SimulatedChain([Unit(ROTARY, 1)], seed))
-            wire.chain.faults = Faults(drop=0.05, flip=0.05)
-            for k in range(50):
-                wire.request(1, 55, k, seconds=0.02)
-            return [message for _, message in wire.received]
 
-        assert received(4) == received(4)
-        assert received(4) != received(5)
+def test_units_survive_random_bytes():
+    assert fuzz(1_000, seed=6) == {"cases": 1_000, "exceptions": 0, "hangs": 0, "false_accepts": 0}

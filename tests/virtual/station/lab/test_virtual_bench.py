@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from station.config.loads import ConstantLoad
+from station.config.strict import ConfigError
 from station.experiments.experiment import offered_experiment
 from station.lab.config import LabConfig, PlantConfig
+from station.lab.faults import LabFault
 from station.lab.virtual_bench import IdealLab
 
 START = np.array([0.0, math.pi / 2, -0.100])
@@ -26,15 +28,6 @@ def test_load_in_the_ideal_lab_acts_from_its_start_and_moves_the_tip(lab):
     assert at.force == pytest.approx([0.5, 0.0, 0.0])
     # The load points along +x, where the compliance of the tip is about 30 mm/N.
     assert at.tip[0] - before.tip[0] == pytest.approx(0.015, rel=0.3)
-
-
-def test_ideal_stages_follow_commands_without_delay(lab):
-    lab.devices.stages.command(np.array([0.1, -0.2, 0.005]), 0.0)
-    lab.advance(0.5)
-
-    reading = lab.devices.stages.poll(0.5)
-    assert reading.positions - START == pytest.approx([0.05, -0.1, 0.0025])
-    assert reading.sent == pytest.approx([0.1, -0.2, 0.005])
 
 
 def test_ideal_stages_keep_speed_limits_and_travel(lab, paper):
@@ -76,8 +69,11 @@ def test_ideal_base_sensors_measure_the_load_only(lab):
 
 
 def test_preset_experiments_use_the_ideal_lab_only_for_the_papers_simulations():
-    labs = {
-        name: {case.lab.devices for case in offered_experiment(name).cases} for name in ("fig3", "fig4", "fig7", "fig8")
-    }
+    labs = {name: {case.lab.devices for case in offered_experiment(name).cases} for name in ("fig3", "fig7")}
+    assert labs == {"fig3": {"ideal"}, "fig7": {"wire"}}
 
-    assert labs == {"fig3": {"ideal"}, "fig4": {"ideal"}, "fig7": {"wire"}, "fig8": {"wire"}}
+
+def test_ideal_devices_refuse_faults_and_say_which_lab_has_them(lab):
+    with pytest.raises(ConfigError, match="devices = 'wire'"):
+        lab.inject([LabFault(kind="disconnect", device="tracker")], 0.0)
+    lab.inject([], 0.0)

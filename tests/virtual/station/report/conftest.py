@@ -3,6 +3,8 @@
 import json
 import re
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +35,38 @@ feedforward = true
 max_abs_error_mm = { x = 7.9, z = 2.0 }
 """
 
+PALPATION = """
+title = "two places"
+start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
+duration = 12.0
+settling = 2.0
+[trajectory]
+kind = "palpate"
+direction = [1.0, 0.0, 0.0]
+across = [0.0, 1.0, 0.0]
+columns = 2
+rows = 1
+spacing = 0.004
+travel = 2.0
+dwell = 2.0
+[controller]
+strategy = "dual_layer"
+inner = "type_2"
+feedback = "observer"
+load = "wrenches"
+[load]
+kind = "wall"
+direction = [-1.0, 0.0, 0.0]
+distance = 0.002
+stiffness = 200.0
+"""
+
+
+@pytest.fixture(scope="session")
+def palpation() -> str:
+    """Return the text of an experiment that palpates two places on a wall of 200 N/m."""
+    return PALPATION
+
 
 @pytest.fixture(scope="session")
 def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
@@ -43,10 +77,12 @@ def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         if name not in made:
             place = tmp_path_factory.mktemp(name)
             (place / f"{name}.toml").write_text(text, encoding="utf-8")
-            assert (
-                main(("run", str(place / f"{name}.toml"), "--jobs", "1", "--out", str(place / "runs"), "--json")) == 0
-            )
+            printed = StringIO()
+            with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
+                patch.setenv("COLUMNS", "200")
+                assert main(("run", str(place / f"{name}.toml"), "--jobs", "1", "--out", str(place / "runs"))) == 0
             made[name] = next((place / "runs").iterdir())
+            (place / "runs" / "printed.txt").write_text(printed.getvalue(), encoding="utf-8")
         return made[name]
 
     return run

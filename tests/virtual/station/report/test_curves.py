@@ -1,4 +1,4 @@
-"""Curves for a page: few numbers with all peaks of the recording."""
+"""Curves for a page have few points and keep all peaks of the recording."""
 
 import numpy as np
 import pytest

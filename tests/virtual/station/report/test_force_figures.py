@@ -12,30 +12,6 @@ from station.report.document import picture
 from station.report.page import figures
 from station.report.run import RecordedRun, read_run
 
-PALPATION = """
-title = "two places"
-start = { outer_rotation = 0.0, inner_rotation = 1.5707963267948966, inner_translation = -0.100 }
-duration = 20.0
-settling = 4.0
-[trajectory]
-kind = "palpate"
-direction = [1.0, 0.0, 0.0]
-across = [0.0, 1.0, 0.0]
-columns = 2
-rows = 1
-spacing = 0.004
-travel = 4.0
-[controller]
-strategy = "dual_layer"
-inner = "type_2"
-feedback = "observer"
-load = "wrenches"
-[load]
-kind = "wall"
-direction = [-1.0, 0.0, 0.0]
-distance = 0.002
-stiffness = 200.0
-"""
 FORCE = {"trajectory": {"kind": "force", "direction": [1.0, 0.0, 0.0], "force": 0.2}}
 TIME = np.arange(40) * 0.1
 #: The tip touches the obstacle at 1 s, and then presses with 0.21 N; truly with 0.19 N.
@@ -90,8 +66,8 @@ def test_report_of_a_motion_without_a_press_has_no_figure_of_a_held_force(synthe
     assert list(force_figures.presses(RecordedRun(Path("x"), "own", {}, {}, (synthetic_case(),)))) == []
 
 
-def test_stiffness_map_shows_the_numbers_of_the_summary(run_of, tmp_path):
-    run = read_run(run_of("two_places", PALPATION))
+def test_stiffness_map_shows_the_numbers_of_the_summary(run_of, palpation, tmp_path):
+    run = read_run(run_of("two_places", palpation))
     drawn = {one.name: one for one in figures(run)}["stiffness_two_places"]
     estimated, truth, bar = drawn.figure.axes
     numbers = run.summary["cases"]["two_places"]["palpation"]

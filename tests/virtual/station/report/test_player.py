@@ -44,6 +44,7 @@ def test_the_player_is_one_self_contained_file(page):
 
     assert not re.findall(r"https?:|src=|href=|@import|url\(|{{|}}", text)
     assert "short &lt;b&gt;run&lt;/b&gt; &amp; more" in text
+    assert text.count("</script>") == 2  # no text of the run ends the script
 
 
 def test_the_player_has_25_frames_a_second_with_time_force_and_joints(case, short_run):
@@ -99,24 +100,15 @@ def test_player_frames_without_a_model_solution_are_marked_as_unknown(synthetic_
     assert (positions[:, -9:-6] != UNKNOWN_CODE).all()
 
 
-def test_the_player_of_a_long_run_has_a_lower_frame_rate(short_run, tmp_path, monkeypatch):
+def test_the_player_of_a_long_run_has_a_lower_frame_rate_and_reports_its_progress(short_run, tmp_path, monkeypatch):
     monkeypatch.setattr(player, "MAX_FRAMES", 10)
-    case = data_of(write_player(short_run, tmp_path / "few.html"))["cases"][0]
+    reported: list[float] = []
+    case = data_of(write_player(short_run, tmp_path / "few.html", reported.append))["cases"][0]
 
     assert case["frames"] == 11
-
-
-def test_the_progress_of_writing_a_player_rises_until_the_last_case(short_run, tmp_path):
-    reported: list[float] = []
-    write_player(short_run, tmp_path / "own.html", reported.append)
-
     assert reported == sorted(reported)
     assert reported[0] == 0.0
     assert 0.5 <= reported[-1] < 1.0
-
-
-def test_text_in_a_run_cannot_end_the_players_script(short_run, page):
-    assert page.read_text(encoding="utf-8").count("</script>") == 2
 
 
 def test_a_run_without_rows_is_refused_by_the_player(folder_of):

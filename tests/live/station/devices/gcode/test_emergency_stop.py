@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 
 from station.control.clock import REAL_TIME_CLOCK
-from station.devices.gcode.emergency_stop import gcode_emergency_stop, stop_board
-from station.devices.gcode.protocol import BAUDS
+from station.devices.gcode.emergency_stop import stop_board
+from station.devices.gcode.stages import GCODE
 from station.devices.interfaces import EmergencyStop, NotStopped
-from station.devices.links.link import SerialLink
 from station.lab.config import LabConfig
 from station.lab.lab_server import LabServer
 from station.lab.simulated_gcode import SimulatedBoard
-from station.lab.simulated_zaber import Faults
 from tests.harness.root import ROOT
 from tests.harness.running_lab import running
 from tests.harness.waiting import until
@@ -58,7 +56,7 @@ def port(lab: LabServer) -> str:
 
 
 def emergency_stop(lab: LabServer, paper) -> EmergencyStop:
-    return gcode_emergency_stop({"port": port(lab), "dialect": board(lab).dialect}, paper)
+    return GCODE.emergency_stop({"port": port(lab), "dialect": board(lab).dialect}, paper)
 
 
 @pytest.fixture
@@ -91,21 +89,6 @@ def test_emergency_stop_retries_a_port_until_a_dying_process_releases_it(lab, ho
     death.join()
     assert result.startswith("3 stages on")
     assert not board(lab).planner.moving
-
-
-def test_emergency_stop_ends_a_homing(lab, paper):
-    link = SerialLink(port(lab), BAUDS[board(lab).dialect])
-    link.write(b"$HX\n" if board(lab).dialect == "grbl" else b"G28 X\n")
-    assert until(lambda: board(lab).planner.moving)
-    link.close()
-    assert emergency_stop(lab, paper)(REAL_TIME_CLOCK).startswith("3 stages on")
-    assert not board(lab).planner.moving
-
-
-def test_emergency_stop_reports_a_board_that_does_not_answer(lab, paper):
-    board(lab).faults = Faults(mute=frozenset({1}))
-    with pytest.raises(NotStopped, match="every one was commanded to stop and has not confirmed: press the emergency"):
-        emergency_stop(lab, paper)(REAL_TIME_CLOCK)
 
 
 def test_emergency_stop_reports_a_port_that_does_not_exist():

@@ -66,14 +66,6 @@ def test_emergency_stop_retries_a_port_until_a_dying_process_releases_it(lab: Wa
     assert not lab.notes()[-1].moving
 
 
-def test_emergency_stop_works_after_half_a_message(lab: WatchedLab) -> None:
-    link = set_going(lab)
-    link.write(b"\x02\x16\x00")
-    link.close()
-    assert stop_stages(units(lab), REAL_TIME_CLOCK).startswith("3 stages on")
-    assert not lab.notes()[-1].moving
-
-
 def test_emergency_stop_reports_stages_that_cannot_be_stopped(lab: WatchedLab) -> None:
     set_going(lab).close()
     with pytest.raises(NotStopped) as raised:

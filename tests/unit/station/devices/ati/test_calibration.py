@@ -37,29 +37,34 @@ def test_page_gives_force_and_torque_per_count():
     assert (read.force_count, read.torque_count) == (1e-6, 1e-6)
 
 
-@pytest.mark.parametrize(
-    ("unit", "newtons"), [("N", 1.0), ("kN", 1000.0), ("lbf", 4.44822), ("klbf", 4448.22), ("kgf", 9.80665)]
-)
-def test_force_units_are_converted_to_newtons(unit, newtons):
-    assert read_page(page(scfgfu=unit, cfgcpf="1000")).force_count == pytest.approx(newtons / 1000.0, rel=1e-5)
+#: Units per pound-force and per inch-pound: the numbers in ATI's C library (`ForceConv` and `TorqueConv`, ftconfig.c).
+FORCES = {
+    "lb": 1.0, "lbf": 1.0, "klb": 0.001, "klbf": 0.001, "N": 4.44822161526, "kN": 0.00444822161526,
+    "kg": 0.45359237, "kgf": 0.45359237, "g": 453.59237, "gf": 453.59237,
+}  # fmt: skip
+TORQUES = {
+    "in-lb": 1.0, "in-lbf": 1.0, "lb-in": 1.0, "lbf-in": 1.0,
+    "ft-lb": 0.08333333333, "lb-ft": 0.08333333333, "ft-lbf": 0.08333333333, "lbf-ft": 0.08333333333,
+    "N-m": 0.112984829028, "Nm": 0.112984829028, "N-mm": 112.984829028, "Nmm": 112.984829028,
+    "kg-cm": 1.1521246198, "kgcm": 1.1521246198, "kgf-cm": 1.1521246198,
+    "kN-m": 0.000112984829028, "kNm": 0.000112984829028,
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("unit", "newton_metres"),
-    [
-        ("N-m", 1.0),
-        ("Nm", 1.0),
-        ("N-mm", 1e-3),
-        ("Nmm", 1e-3),
-        ("kN-m", 1e3),
-        ("lbf-in", 4.44822 * 0.0254),
-        ("lbf-ft", 4.44822 * 0.3048),
-        ("kgf-cm", 9.80665e-2),
-        ("kg-cm", 9.80665e-2),
-    ],
-)
-def test_torque_units_are_converted_to_newton_metres(unit, newton_metres):
-    assert read_page(page(scfgtu=unit, cfgcpt="1000")).torque_count == pytest.approx(newton_metres / 1000.0, rel=1e-5)
+@pytest.mark.parametrize("unit", FORCES)
+def test_force_units_are_converted_to_newtons(unit):
+    newtons = FORCES["N"] / FORCES[unit]
+
+    assert read_page(page(scfgfu=unit, cfgcpf="1000")).force_count == pytest.approx(newtons / 1000.0, rel=1e-9)
+    assert parse_calibration(file(AXIS_ROWS, ForceUnits=unit)).matrix[1, 1] == pytest.approx(2.0 * newtons, rel=1e-9)
+
+
+@pytest.mark.parametrize("unit", TORQUES)
+def test_torque_units_are_converted_to_newton_metres(unit):
+    factor = TORQUES["N-m"] / TORQUES[unit]
+
+    assert read_page(page(scfgtu=unit, cfgcpt="1000")).torque_count == pytest.approx(factor / 1000.0, rel=1e-9)
+    assert parse_calibration(file(AXIS_ROWS, TorqueUnits=unit)).matrix[5, 5] == pytest.approx(4.0 * factor, rel=1e-9)
 
 
 @pytest.mark.parametrize("text", ["18;18;18;250;250;250", "18,18,18,250,250,250", "18 18 18 250 250 250"])
@@ -220,6 +225,53 @@ def test_wrench_uses_the_units_of_the_calibration_file():
 
 
 @pytest.mark.parametrize(
+    ("unit", "text"),
+    [("in", "0.17716535433"), ("ft", "0.014763779528"), ("cm", "0.45"), ("m", "0.0045"), ("mm", "4.5")],
+)
+def test_position_of_the_tool_has_the_length_unit_of_the_file(unit, text):
+    body = AXIS_ROWS + TRANSFORM.replace('"4.5"', f'"{text}"')
+
+    assert parse_calibration(file(body, DistUnits=unit)).matrix == pytest.approx(SI, abs=1e-9)
+
+
+def library_transform(lengths: list[float], angles: list[float]) -> np.ndarray:
+    """Return the elements that `TTM` of ATI's C library (ftconfig.c) computes, lengths in [m] and angles in [rad]."""
+    (dx, dy, dz), (sx, sy, sz), (cx, cy, cz) = lengths, np.sin(angles), np.cos(angles)
+    r = [
+        [cy * cz, sx * sy * cz + cx * sz, sx * sz - cx * sy * cz],
+        [-cy * sz, -sx * sy * sz + cx * cz, sx * cz + cx * sy * sz],
+        [sy, -sx * cy, cx * cy],
+    ]
+    lower = [[a[2] * dy - a[1] * dz, a[0] * dz - a[2] * dx, a[1] * dx - a[0] * dy, *a] for a in r]
+    return np.array([[*a, 0.0, 0.0, 0.0] for a in r] + lower)
+
+
+@pytest.mark.parametrize("unit", ["deg", "degree", "degrees", "rad", "radian", "radians", None])
+def test_rotated_tool_transform_is_applied_as_by_the_makers_library(unit):
+    given = [0.5, -1.1, 2.0] if unit and unit.startswith("rad") else [30.0, -65.0, 110.0]
+    names = " ".join(f'R{axis}="{value}"' for axis, value in zip("xyz", given, strict=True))
+    body = AXIS_ROWS + f'<BasicTransform Dx="3" Dy="-7" Dz="4.5" {names}/>'
+    plain = parse_calibration(file(AXIS_ROWS)).matrix
+    angles = given if unit and unit.startswith("rad") else np.radians(given).tolist()
+
+    read = parse_calibration(file(body, **({"AngleUnits": unit} if unit else {}))).matrix
+
+    assert read == pytest.approx(library_transform([0.003, -0.007, 0.0045], angles) @ plain, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axis", "force"), [("Rx", [1.0, 3.0, -2.0]), ("Ry", [-3.0, 2.0, 1.0]), ("Rz", [2.0, -1.0, 3.0])]
+)
+def test_quarter_turn_of_the_tool_permutes_the_force(axis, force):
+    """Rotating the tool about z takes its x axis to the transducer's y axis, so that Fx of the tool is Fy."""
+    turned = parse_calibration(file(AXIS_ROWS + f'<BasicTransform {axis}="90"/>')).matrix
+    plain = parse_calibration(file(AXIS_ROWS)).matrix
+    voltages = np.linalg.solve(plain, [1.0, 2.0, 3.0, 0.0, 0.0, 0.0])
+
+    assert turned @ voltages == pytest.approx([*force, 0.0, 0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
     ("data", "reason"),
     [
         (file(""), "neither"),
@@ -230,7 +282,10 @@ def test_wrench_uses_the_units_of_the_calibration_file():
         (file(AXIS_ROWS.replace("32.00000", "", 1)), "Fx: values"),
         (file(AXIS_ROWS, ForceUnits="stone"), "ForceUnits is 'stone'"),
         (file(AXIS_ROWS, OutputRange="-20"), "OutputRange is '-20'"),
-        (file(AXIS_ROWS + TRANSFORM.replace('Rz="0"', 'Rz="90"')), "Rz is 90"),
+        (file(AXIS_ROWS, TorqueUnits="n-mm"), "TorqueUnits is 'n-mm'; expected one of N-m, Nm, N-mm"),
+        (file(AXIS_ROWS + TRANSFORM, DistUnits="yd"), "DistUnits is 'yd'; expected one of mm, cm, m, in, ft"),
+        (file(AXIS_ROWS + TRANSFORM, AngleUnits="grad"), "AngleUnits is 'grad'; expected one of deg"),
+        (file(AXIS_ROWS + TRANSFORM.replace('Rz="0"', 'Rz="x"')), "Rz is 'x'"),
         (file(AXIS_ROWS + TRANSFORM.replace('Dz="4.5"', 'Dz="inf"')), "Dz is 'inf'"),
         (file(AXIS_ROWS + TRANSFORM * 2), "BasicTransform"),
         (file(AXIS_ROWS + TRANSFORM + rows("UserAxis", USER + np.eye(6)[4])), "differs"),

@@ -1,16 +1,24 @@
 """The driver of two sensors: one sample from two streams, with its faults as quality."""
 
-import math
+import re
 import struct
+from contextlib import closing
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from threading import Timer
 
 import numpy as np
 import pytest
 
 from station.devices.ati.calibration import NetftPage
-from station.devices.ati.netft import ForceBoxFile, NetftSensors, SensorError, WrenchQuality, connect, fetch_page
-from station.devices.ati.protocol import LATENCY_S, RdtCommand, request
-from station.devices.links.link import LinkError
+from station.devices.ati.netft import ForceBoxFile, NetftSensors, SensorError, check_identities, connect, fetch_page
+from station.devices.ati.protocol import LATENCY_S
+from station.devices.interfaces import Severity
+from station.devices.kernel.quality import Quality
+from station.lab.simulated_netft import BoxSettings, SimulatedNetft
 from station.lab.wires import MemoryDatagramEnd
+from tests.harness.netft_bench import PERFECT
+from tests.unit.station.devices.ati.test_calibration import page
 
 #: Page with the counts of a box whose units are N and N-mm.
 PAGE = NetftPage("Net F/T", "FT1", 1e-6, 1e-9, None)
@@ -55,25 +63,10 @@ def run(sensors: NetftSensors, boxes: list[Box], ticks: range, **what: object) -
         sensors.poll(tick * TICK + LATENCY_S)
 
 
-def test_stream_requests_bias_and_stop_match_the_manual(boxes):
-    sensors = driver(boxes)
+def test_driver_sends_a_stream_request_and_a_stop_as_in_the_manual(boxes):
+    driver(boxes).stop()
     for box in boxes:
-        box.link.send(request(RdtCommand.BIAS))
-        box.link.send(request(RdtCommand.RESET_LATCH))
-    sensors.stop()
-
-    for box in boxes:
-        assert box.requests() == ["1234000200000000", "1234004200000000", "1234004100000000", "1234000000000000"]
-
-
-def test_reading_before_the_first_sample_is_stale_and_finite(boxes):
-    sensors = driver(boxes)
-    reading = sensors.poll(0.01)
-
-    assert np.array_equal(reading.wrenches, np.zeros((2, 6)))
-    assert math.isfinite(reading.time)
-    assert not sensors.is_usable
-    assert sensors.quality == (WrenchQuality.STALE, WrenchQuality.STALE)
+        assert box.requests() == ["1234000200000000", "1234000000000000"]
 
 
 def test_two_sensors_give_one_sample_in_si_units(boxes):
@@ -86,8 +79,8 @@ def test_two_sensors_give_one_sample_in_si_units(boxes):
     assert reading.wrenches == pytest.approx(np.array([[1.5, 0, 0, 0, 0, 0.1], [-2.5, 0, 0, 0, 0, -0.2]]))
     assert reading.time == pytest.approx(0.020, abs=1e-4)
     assert sensors.is_usable
-    assert sensors.quality == (WrenchQuality.GOOD, WrenchQuality.GOOD)
-    assert sensors.complaint() == ""
+    assert sensors.quality == (Quality.GOOD, Quality.GOOD)
+    assert sensors.trouble(0.020) is None
 
 
 def test_newer_sensor_is_interpolated_at_the_time_of_the_older(boxes):
@@ -101,16 +94,6 @@ def test_newer_sensor_is_interpolated_at_the_time_of_the_older(boxes):
     # Both forces rise by 1 N/s, so at a common time both values in N equal this time in s.
     assert reading.time == pytest.approx(0.100, abs=1e-4)
     assert reading.wrenches[:, 0] == pytest.approx([0.100, 0.100], abs=1e-4)
-
-
-def test_poll_without_new_records_returns_the_last_sample(boxes):
-    sensors = driver(boxes)
-    run(sensors, boxes, range(1, 11), force=1.0)
-    first, second = sensors.poll(0.021), sensors.poll(0.022)
-
-    assert np.array_equal(first.wrenches, second.wrenches)
-    assert first.time == second.time == pytest.approx(0.020, abs=1e-4)
-    assert sensors.is_usable
 
 
 def test_silent_sensor_is_stale_is_requested_again_and_recovers(boxes):
@@ -131,7 +114,7 @@ def test_silent_sensor_is_stale_is_requested_again_and_recovers(boxes):
     for box in boxes:
         box.rdt = 0
     run(sensors, boxes, range(1040, 1044), force=2.0)
-    assert sensors.quality == (WrenchQuality.GOOD, WrenchQuality.GOOD)
+    assert sensors.quality == (Quality.GOOD, Quality.GOOD)
     assert sensors.poll(2.1).wrenches[:, 0] == pytest.approx([2.0, 2.0])
 
 
@@ -141,21 +124,24 @@ def test_silent_sensor_does_not_delay_the_other_one(boxes):
     run(sensors, boxes[:1], range(11, 111), force=3.0)
     reading = sensors.poll(0.221)
 
-    assert sensors.quality == (WrenchQuality.GOOD, WrenchQuality.STALE)
+    assert sensors.quality == (Quality.GOOD, Quality.STALE | Quality.SILENT)
     assert reading.wrenches[:, 0] == pytest.approx([3.0, 1.0])
     assert reading.time == pytest.approx(0.220, abs=1e-4)
-    assert "force sensor 2 on outer: stale" in sensors.complaint()
+    fault = sensors.trouble(0.221)
+    assert fault is not None
+    assert fault.text == "force sensor 2 was silent for 0.20 s"
+    assert fault.details == "force sensor 2 on outer: silent, stale"
 
 
 @pytest.mark.parametrize(
     ("what", "quality"),
     [
-        ({"status": 0x80020000, "force": 18.0}, WrenchQuality.SATURATED),
-        ({"status": 0x80000004, "force": 5.0}, WrenchQuality.STATUS),
-        ({"status": 0x80030000, "force": 5.0}, WrenchQuality.SATURATED),
-        ({"force": 18.1}, WrenchQuality.RANGE),
-        ({"moment": -0.2501}, WrenchQuality.RANGE),
-        ({"force": -2147.0}, WrenchQuality.RANGE),
+        ({"status": 0x80020000, "force": 18.0}, Quality.SATURATED),
+        ({"status": 0x80000004, "force": 5.0}, Quality.DEVICE_FAULT),
+        ({"status": 0x80030000, "force": 5.0}, Quality.SATURATED),
+        ({"force": 18.1}, Quality.RANGE),
+        ({"moment": -0.2501}, Quality.RANGE),
+        ({"force": -2147.0}, Quality.RANGE),
     ],
 )
 def test_unusable_sample_never_changes_the_reading(boxes, what, quality):
@@ -166,7 +152,7 @@ def test_unusable_sample_never_changes_the_reading(boxes, what, quality):
         boxes[1].send(tick * TICK, force=1.0)
         reading = sensors.poll(tick * TICK + LATENCY_S)
 
-        assert sensors.quality == (quality, WrenchQuality.GOOD)
+        assert sensors.quality == (quality, Quality.GOOD)
         assert not sensors.is_usable
         assert reading.wrenches[0] == pytest.approx([1.0, 0, 0, 0, 0, 0])
     run(sensors, boxes, range(15, 16), force=2.0)
@@ -181,21 +167,14 @@ def test_bad_sample_among_good_ones_of_one_poll_is_reported(boxes):
             box.send(tick * TICK, force=1.0, status=status)
     sensors.poll(13 * TICK + LATENCY_S)
 
-    assert sensors.quality == (WrenchQuality.SATURATED, WrenchQuality.SATURATED)
-
-
-def test_complaint_contains_the_text_of_a_bad_status(boxes):
-    sensors = driver(boxes)
-    run(sensors, boxes, range(1, 11), status=0x80020000)
-
-    assert "transducer saturated or A/D" in sensors.complaint()
+    assert sensors.quality == (Quality.SATURATED, Quality.SATURATED)
 
 
 def test_latched_threshold_is_a_warning(boxes):
     sensors = driver(boxes)
     run(sensors, boxes, range(1, 11), force=1.0, status=0x80010000)
 
-    assert sensors.quality == (WrenchQuality.LATCHED, WrenchQuality.LATCHED)
+    assert sensors.quality == (Quality.LATCHED, Quality.LATCHED)
     assert sensors.is_usable
 
 
@@ -206,11 +185,11 @@ def test_gap_is_reported_once_as_a_warning(boxes):
     run(sensors, boxes, range(14, 15))
     boxes[1].rdt += 3
 
-    assert sensors.quality[0] == WrenchQuality.GAP
+    assert sensors.quality[0] == Quality.GAP
     assert sensors.is_usable
     assert sensors.counters[0].lost == 3
     run(sensors, boxes[:1], range(15, 16))
-    assert sensors.quality[0] == WrenchQuality.GOOD
+    assert sensors.quality[0] == Quality.GOOD
 
 
 def test_restarted_box_is_not_used_until_the_operator_starts_it(boxes):
@@ -219,27 +198,11 @@ def test_restarted_box_is_not_used_until_the_operator_starts_it(boxes):
     boxes[0].rdt, boxes[0].count = 0, -10_000  # the box has restarted: its counter is reset, and its bias is lost
     run(sensors, boxes, range(501, 601), force=3.0)
 
-    assert sensors.quality[0] == WrenchQuality.RESET
+    assert sensors.quality[0] == Quality.RESTARTED
     assert not sensors.is_usable
     sensors.start(1.2)
     run(sensors, boxes, range(601, 610), force=3.0)
     assert sensors.is_usable
-
-
-def test_lost_link_is_reported_as_quality_without_an_exception(boxes):
-    sensors = driver(boxes)
-    run(sensors, boxes, range(1, 11), force=1.0)
-    boxes[0].link.close()
-    reading = sensors.poll(0.021)
-
-    assert sensors.quality[0] == WrenchQuality.GONE
-    assert reading.wrenches[:, 0] == pytest.approx([1.0, 1.0])
-    for tick in range(11, 1000):
-        sensors.poll(tick * TICK)
-    assert sensors.quality[0] == WrenchQuality.GONE | WrenchQuality.STALE
-    sensors.close()
-    with pytest.raises(LinkError):
-        boxes[1].link.receive()
 
 
 def test_range_of_the_page_overrides_the_configured_one():
@@ -247,7 +210,7 @@ def test_range_of_the_page_overrides_the_configured_one():
     sensors = driver([box])
     run(sensors, [box], range(1, 11), force=9.5)
 
-    assert sensors.quality == (WrenchQuality.RANGE | WrenchQuality.STALE,)
+    assert sensors.quality == (Quality.RANGE | Quality.STALE,)
 
 
 def test_time_of_the_reading_never_decreases(boxes):
@@ -260,8 +223,92 @@ def test_time_of_the_reading_never_decreases(boxes):
     assert (np.diff(times[5:]) >= 0.0).all()
 
 
+@pytest.mark.parametrize("rate", [3.0, 25.0, 49.0])
+def test_slow_stream_is_a_hold_with_its_rate_and_the_setting_to_change(rate):
+    box = SimulatedNetft(end := MemoryDatagramEnd(), PERFECT, np.random.default_rng(0), BoxSettings(rate=rate))
+    sensors = NetftSensors([end.link("box")], [PAGE])
+    sensors.start(0.0)
+    for tick in range(1, 1000):
+        box.advance(tick * TICK, np.zeros(6))
+        sensors.poll(tick * TICK)
+    fault = sensors.trouble(2.0)
+
+    assert not sensors.is_usable
+    assert fault is not None
+    assert fault.severity is Severity.HOLD
+    expected = f"force sensor 1 sends {rate:.3g} records/s, at least 50 are needed: set the RDT rate on its page"
+    assert fault.text == expected
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 7000.0])
+def test_stream_of_a_sufficient_rate_is_usable(rate):
+    box = SimulatedNetft(end := MemoryDatagramEnd(), PERFECT, np.random.default_rng(0), BoxSettings(rate=rate))
+    sensors = NetftSensors([end.link("box")], [PAGE])
+    sensors.start(0.0)
+    usable = []
+    for tick in range(1, 1000):
+        box.advance(tick * TICK, np.zeros(6))
+        usable.append(sensors.poll(tick * TICK).usable)
+
+    assert all(usable[100:])
+
+
+def test_box_whose_counter_runs_at_another_rate_is_a_warning_with_both_rates(boxes):
+    sensors = driver(boxes)
+    for tick in range(1, 5000):
+        for box in boxes:
+            box.count = -round(7000 * tick * TICK) + 16 * tick  # 8000 counts/s
+            box.send(tick * TICK)
+        sensors.poll(tick * TICK + LATENCY_S)
+    fault = sensors.trouble(10.0)
+
+    assert sensors.is_usable
+    assert fault is not None
+    assert fault.severity is Severity.WARN
+    assert re.search(r"force sensor 1 counts (7[89]|8[01])\d\d samples/s instead of 7000", fault.text)
+
+
+def test_datagrams_of_another_device_are_quoted_with_what_was_expected(boxes):
+    sensors = driver(boxes)
+    for tick in range(1, 100):
+        boxes[0].end.send(b"HELLO", boxes[0].link.address)
+        boxes[1].send(tick * TICK)
+        sensors.poll(tick * TICK)
+    fault = sensors.trouble(0.2)
+
+    assert sensors.quality == (Quality.STALE | Quality.UNREADABLE, Quality.GOOD)
+    assert fault is not None
+    assert fault.text == "force sensor 1 sends 'HELLO', expected records of 36 bytes: check 'host' and 'rdt_port'"
+
+
+def test_a_force_box_at_two_addresses_is_refused_with_both_tubes():
+    boxes = [ForceBoxFile(host="192.168.1.11"), ForceBoxFile(host="box.lan")]
+    with pytest.raises(SensorError, match=r"at 192\.168\.1\.11:49152 and box\.lan:49152 have the same calibration"):
+        check_identities(boxes, [PAGE, PAGE])
+    check_identities(boxes, [replace(PAGE, serial="")] * 2)  # old boxes report none
+
+
+def test_page_of_a_box_that_starts_late_is_waited_for():
+    class Box(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(page())
+
+        def log_message(self, *_):
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Box, bind_and_activate=False)
+    server.server_bind()
+    starts = Timer(0.3, lambda: (server.server_activate(), server.handle_request()))
+    starts.start()
+    with closing(server.socket):
+        assert fetch_page("127.0.0.1", server.server_address[1]).product == "Net F/T"
+        starts.join()
+
+
 def test_address_without_an_answer_is_named():
     with pytest.raises(SensorError, match=r"http://127\.0\.0\.1:9/netftapi2\.xml does not answer"):
-        fetch_page("127.0.0.1", 9, timeout=0.5)
+        fetch_page("127.0.0.1", 9, timeout=0.5, attempts=0)
     with pytest.raises(SensorError, match="does not answer"):
-        connect([ForceBoxFile(host="127.0.0.1", http_port=9)])
+        connect([ForceBoxFile(host="127.0.0.1", http_port=9)], attempts=0)

@@ -4,7 +4,7 @@ import pytest
 
 from station.config.strict import ConfigError
 from station.devices.cia402.setup import DriveFile, DriveSetup
-from station.devices.cia402.stages import cia402
+from station.devices.cia402.stages import CIA402
 
 
 def joints(**changes: object) -> dict[str, object]:
@@ -28,13 +28,15 @@ def test_makes_have_their_own_units_of_velocity(paper):
         for make in ("epos4", "faulhaber")
     )
     assert (epos.top, faulhaber.top) == (590_551, 591)
+    # 100 mm/s^2 are 201 575 counts/s^2 or 49.21 turns/s^2; Faulhaber's unit, EPOS4 has turns per minute and second.
+    assert (epos.acceleration, faulhaber.acceleration) == (2953, 50)
 
 
 def test_backward_drive_counts_from_the_other_end(paper):
     slide = DriveSetup.of(paper.joints[2], DriveFile(node=1, backwards=True))
     assert slide.position(0) == -0.005
     assert slide.position(slide.maximum) == pytest.approx(-0.130, abs=1e-6)
-    assert slide.speed_scale < 0.0
+    assert slide.velocity_step < 0.0
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,7 @@ def test_backward_drive_counts_from_the_other_end(paper):
     [
         ({}, "devices.stages: 'port' is missing"),
         ({"port": "COM3", "joints": {"outer_rotation": {"node": 1}}}, "joints.inner_rotation is missing"),
-        ({"port": "COM3", "joints": joints(node=2)}, "inner_translation.node = 2: inner_rotation has the same node"),
+        ({"port": "COM3", "joints": joints(node=2)}, "inner_translation.node = 2: inner_rotation has the same axis"),
         ({"port": "COM3", "joints": joints(node=127)}, "node"),
         ({"port": "COM3", "joints": joints(home_at=-0.1)}, "inner_translation: home_at -0.1 m is inside the travel"),
         ({"port": "COM3", "joints": joints(make="epos4")}, "inner_translation: counts_per_turn is missing"),
@@ -50,4 +52,4 @@ def test_backward_drive_counts_from_the_other_end(paper):
 )
 def test_invalid_options_are_refused_by_name(paper, options, part):
     with pytest.raises(ConfigError, match=part):
-        cia402(options, paper)
+        CIA402.open(options, paper)

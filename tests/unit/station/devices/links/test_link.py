@@ -130,7 +130,7 @@ def test_unlocked_files_are_removed_and_a_device_in_use_stays_locked(tmp_path: P
     assert not left.exists()
     assert linked.is_symlink()
     assert other.exists()
-    with pytest.raises(PortInUse, match="two devices cannot have one port"):
+    with pytest.raises(PortInUse, match="two devices cannot use the same port"):
         PortLock("/dev/ttyUSB9")
     lock.release()
     PortLock("/dev/ttyUSB8").release()

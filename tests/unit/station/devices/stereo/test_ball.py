@@ -1,4 +1,4 @@
-"""The ball is found to a small part of a pixel, and nothing else is taken for a ball."""
+"""The ball is found to a small fraction of a pixel, and no other object is taken for it."""
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ def picture(
 @pytest.mark.parametrize("radius", [2.5, 5.0, 12.0])
 def test_centre_is_found_to_a_twentieth_of_a_pixel(colour: BallColour, radius: float) -> None:
     random = np.random.default_rng(5)
-    for seed in range(10):
+    for seed in range(3):
         at = (float(random.uniform(30, 130)), float(random.uniform(30, 90)))
         ball = find_ball(picture(at, radius, colour, seed=seed), colour)
 
@@ -44,6 +44,18 @@ def test_noise_grey_metal_and_another_colour_are_no_ball() -> None:
     assert find_ball(picture((80.0, 60.0), 6.0, "red"), "green") is None
     metal = np.full((120, 160, 3), (150, 156, 160), np.uint8)
     assert find_ball(metal) is None
+
+
+@pytest.mark.parametrize(("radius", "several"), [(5.0, True), (4.0, True), (2.5, False)])
+def test_second_ball_of_the_colour_that_may_be_the_tip_is_no_position(radius: float, several: bool) -> None:
+    shown = np.maximum(picture((40.0, 60.0), 5.0, noise=0.0), 0)
+    shown[:, 80:] = picture((110.0, 60.0), radius, noise=0.0)[:, 80:]
+
+    ball = find_ball(shown)
+
+    assert ball is not None
+    assert np.isinf(ball.column) == several
+    assert several or (ball.column, ball.row) == pytest.approx((40.0, 60.0), abs=0.05)
 
 
 def test_a_larger_stripe_of_the_same_colour_is_not_taken_for_the_ball() -> None:

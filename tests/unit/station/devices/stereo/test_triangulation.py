@@ -37,14 +37,14 @@ def test_covariance_is_that_of_points_from_noisy_pixels() -> None:
     views, point = [ALONG_Y, near], np.array([0.02, 0.03, -0.02])
     pixels = np.vstack([each.project(point[None]) for each in views])
     random, deviation = np.random.default_rng(0), 0.2
-    found = [triangulate(views, pixels + random.normal(0.0, deviation, (2, 2))) for _ in range(4000)]
+    found = [triangulate(views, pixels + random.normal(0.0, deviation, (2, 2))) for _ in range(1000)]
     points = np.array([one.position for one in found if one is not None])
     exact = triangulate(views, pixels)
 
     assert exact is not None
-    assert len(points) == 4000
+    assert len(points) == 1000
     measured, computed = np.cov(points.T), deviation**2 * exact.covariance
-    assert np.sqrt(np.linalg.eigvalsh(measured)) == pytest.approx(np.sqrt(np.linalg.eigvalsh(computed)), rel=0.06)
+    assert np.sqrt(np.linalg.eigvalsh(measured)) == pytest.approx(np.sqrt(np.linalg.eigvalsh(computed)), rel=0.1)
 
 
 def test_lines_of_sight_that_miss_each_other_have_a_residual() -> None:

@@ -1,24 +1,19 @@
 """Ports and units of the emergency stop."""
 
+import itertools
+from types import SimpleNamespace
+
 import pytest
 
-from station.devices.zaber.emergency_stop import stage_units
+from station.devices.interfaces import NotStopped
+from station.devices.zaber.stages import ZABER
 
 
-@pytest.mark.parametrize(
-    ("options", "units"),
-    [
-        ({"driver": "zaber", "port": "/dev/ttyUSB0"}, {"/dev/ttyUSB0": {1, 2, 3}}),
-        (
-            {"driver": "zaber", "joints": {"a": {"device": 1, "port": "COM3"}, "b": {"device": 1, "port": "COM4"}}},
-            {"COM3": {1}, "COM4": {1}},
-        ),
-        (
-            {"driver": "zaber", "port": "COM5", "joints": {"a": {"device": 1, "port": "COM3"}, "b": {"device": 2}}},
-            {"COM3": {1}, "COM5": {2}},
-        ),
-        ({"driver": "zaber", "port": "COM5", "joints": {"a": {"device": 4}, "b": {"device": 2}}}, {"COM5": {2, 4}}),
-    ],
-)
-def test_stage_units_are_grouped_by_port(options, units):
-    assert stage_units(options, joints=3) == units
+def test_emergency_stop_names_the_stages_of_each_port(paper):
+    places = ({"device": 1, "port": "COM3"}, {"device": 1, "port": "COM4"}, {"device": 2})
+    joints = dict(zip((joint.name for joint in paper.joints), places, strict=True))
+    stop = ZABER.emergency_stop({"port": "COM4", "joints": joints}, paper)
+    with pytest.raises(
+        NotStopped, match=r"stages on COM3 cannot be .*; the stages on COM4 cannot be commanded to stop"
+    ):
+        stop(SimpleNamespace(now=itertools.count().__next__, sleep=lambda _: None))

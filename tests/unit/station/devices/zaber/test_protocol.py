@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from station.devices.zaber.chain import Axis, LineSettings, ZaberChain
 from station.devices.zaber.protocol import (
     BYTE_TIME_S,
-    MESSAGE_TIME_S,
     RESYNC_GAP_S,
     Request,
     ZaberError,
@@ -24,7 +23,6 @@ from station.devices.zaber.protocol import (
     safe_speed,
     speed_data,
     split_id,
-    top_speed,
     with_id,
 )
 
@@ -67,11 +65,6 @@ def test_message_id_uses_the_sixth_byte():
     assert split_id(with_id(8_388_607, 128)) == (8_388_607, 128)
 
 
-def test_line_transmits_160_messages_per_second():
-    assert pytest.approx(1 / 160) == MESSAGE_TIME_S
-    assert pytest.approx(10 / 9600) == BYTE_TIME_S
-
-
 @pytest.mark.parametrize(
     ("per_second", "microstep", "data"),
     [
@@ -88,10 +81,6 @@ def test_speeds_are_converted_to_the_units_of_the_line(per_second, microstep, da
 def test_speed_that_is_not_finite_is_refused():
     with pytest.raises(ZaberError, match="not finite"):
         speed_data(float("nan"))
-
-
-def test_largest_speed_at_the_factory_resolution():
-    assert top_speed(64) == 32767
 
 
 @pytest.mark.parametrize(
@@ -120,7 +109,7 @@ def test_messages_do_not_depend_on_the_split_of_the_stream(messages, cuts):
         found += parser.feed(stream[start:end], k * 0.009)
 
     assert found == messages
-    assert parser.dropped == 0
+    assert parser.dropped.count == 0
 
 
 @given(st.binary(min_size=1, max_size=200), MESSAGES, st.integers(1, 5))
@@ -131,7 +120,7 @@ def test_message_after_a_silence_is_parsed_after_any_garbage(garbage, message, c
     found = parser.feed(frame[:cut], 0.0101) + parser.feed(frame[cut:], 0.0102)
 
     assert found == [message]
-    assert parser.dropped == len(garbage) % 6
+    assert parser.dropped.count == len(garbage) % 6
 
 
 def test_message_with_too_long_a_pause_is_dropped():
@@ -140,7 +129,7 @@ def test_message_with_too_long_a_pause_is_dropped():
     assert parser.feed(frame[:3], 0.0) == []
     assert parser.feed(frame[3:], 0.0105) == []
     assert parser.feed(frame, 0.0300) == [ZaberMessage(1, 60, 1000)]
-    assert (parser.dropped, parser.resyncs) == (6, 2)
+    assert (parser.dropped.count, parser.resyncs) == (6, 2)
 
 
 def test_long_interval_between_reads_is_not_taken_for_a_silence():
@@ -156,7 +145,7 @@ def test_next_valid_message_is_found_without_a_silence(noise):
     frame = encode(ZaberMessage(1, 60, 70_000))
 
     assert parser.feed(noise + frame, 0.0) == [ZaberMessage(1, 60, 70_000)]
-    assert parser.dropped == len(noise)
+    assert parser.dropped.count == len(noise)
 
 
 def test_lost_byte_affects_one_message_only():
@@ -164,7 +153,7 @@ def test_lost_byte_affects_one_message_only():
     frame = encode(ZaberMessage(1, 60, 70_000))
 
     assert parser.feed(frame[:4] + frame[5:] + frame + frame, 0.0) == [ZaberMessage(1, 60, 70_000)] * 2
-    assert (parser.dropped, parser.resyncs) == (5, 1)
+    assert (parser.dropped.count, parser.resyncs) == (5, 1)
 
 
 DEVICES = (1, 2, 3)
@@ -175,6 +164,7 @@ RESET, HOME, RENUMBER, RESTORE = 0, 1, 2, 36
 ACTING = {RESET, HOME, RENUMBER, RESTORE}
 #: All speeds that the protocol allows [Zaber units].
 SPEEDS = range(-32767, 32768)
+SAFE_SPEEDS = {safe_speed(speed, LISTENERS - {0}) for speed in SPEEDS} - {0}
 
 
 def readings(data: bytes) -> list[tuple[int, int, int]]:
@@ -192,7 +182,7 @@ def test_shifted_polls_and_stops_are_no_commands():
 
 def test_shifted_speed_is_no_dangerous_command():
     resets = set()
-    for speed in {safe_speed(speed, LISTENERS - {0}) for speed in SPEEDS} - {0}:
+    for speed in SAFE_SPEEDS:
         for device in ALIASES:
             for following in ALIASES:
                 data = struct.pack("<BBi", device, 22, speed) + bytes([following])
@@ -206,7 +196,7 @@ def test_shifted_speed_is_no_dangerous_command():
 
 
 def test_speed_without_its_command_byte_is_no_dangerous_command():
-    for speed in {safe_speed(speed, LISTENERS - {0}) for speed in SPEEDS} - {0}:
+    for speed in SAFE_SPEEDS:
         device, _, command, *_ = struct.pack("<BBi", ALIASES[0], 22, speed)
         assert device in LISTENERS
         assert command not in ACTING
@@ -236,7 +226,7 @@ def traffic(line: LineSettings, seconds: float) -> list[tuple[float, bytes]]:
             free = max(free, now)
             sent.append((free, data))
             free += 6 * BYTE_TIME_S
-        chain.lost.clear()  # no unit replies here, so the chain would count its axes as lost
+        chain.axes.lost.clear()  # no unit replies here, so the chain would count its axes as lost
         now += 0.002
     return sent
 
@@ -258,14 +248,14 @@ def shifted(stream: bytes) -> list[ZaberMessage]:
 
 
 def test_no_shifted_reading_is_dangerous_with_a_pause_after_forward_speeds():
-    sent = traffic(LineSettings(pause=1.25 * RESYNC_GAP_S), 60.0)
+    sent = traffic(LineSettings(pause=1.25 * RESYNC_GAP_S), 30.0)
 
-    assert sum(decode(data).command == 22 and decode(data).data > 0 for _, data in sent) > 500
+    assert sum(decode(data).command == 22 and decode(data).data > 0 for _, data in sent) > 250
     assert not [m for stream in streams(sent) for m in shifted(stream) if m.command in ACTING]
 
 
 def test_worst_shifted_reading_without_a_pause_is_a_reset():
-    sent = traffic(LineSettings(), 60.0)
+    sent = traffic(LineSettings(), 30.0)
 
     acting = {m.command for stream in streams(sent) for m in shifted(stream) if m.command in ACTING}
     assert acting == {RESET}

@@ -5,12 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from station.devices.interfaces import Condition
+from station.devices.kernel.stages import Port
 from station.devices.zaber.protocol import ZaberError
-from station.devices.zaber.setup import PortSetup, StageSetup
-from station.devices.zaber.stages import Condition, ZaberStages
-from station.lab.simulated_zaber import SimulatedChain, pump
+from station.devices.zaber.setup import StageSetup
+from station.devices.zaber.stages import zaber_stages
+from station.lab.simulated_line import pump
+from station.lab.simulated_zaber import Unit, UnitKind, simulated_chain
 from station.lab.wires import HostPort
-from station.lab.zaber_unit import Unit, UnitKind
 
 MICROMETRE = 1e-6
 
@@ -55,7 +57,7 @@ def test_backwards_mounted_stage_homes_and_moves_in_the_right_direction(paper):
     unit = Unit(UnitKind(4332, setup.maximum), 1, 20_000.0)
     host = HostPort("line")
     device = host.device
-    chain, stages, now = SimulatedChain([unit]), ZaberStages([setup], [PortSetup(host, (0,))]), 0.0
+    chain, stages, now = simulated_chain([unit]), zaber_stages([setup], [Port(host, (0,))]), 0.0
 
     def run(seconds: float, velocity: float | None = None) -> float:
         nonlocal now

@@ -6,7 +6,7 @@ import pytest
 
 from station.config.strict import ConfigError
 from station.devices.zaber_ascii.setup import AsciiSetup, AsciiStageFile
-from station.devices.zaber_ascii.stages import zaber_ascii
+from station.devices.zaber_ascii.stages import ZABER_ASCII
 
 
 def test_setups_of_the_papers_stages_have_the_expected_numbers(paper):
@@ -41,7 +41,7 @@ def test_backward_stage_counts_from_the_other_end(paper):
                     "inner_translation": {"device": 2},
                 },
             },
-            "inner_rotation.device = 1: outer_rotation has the same device and axis",
+            "inner_rotation.device = 1: outer_rotation has the same axis",
         ),
         (
             {
@@ -58,4 +58,4 @@ def test_backward_stage_counts_from_the_other_end(paper):
 )
 def test_invalid_options_are_refused_by_name(paper, options, part):
     with pytest.raises(ConfigError, match=part):
-        zaber_ascii(options, paper)
+        ZABER_ASCII.open(options, paper)

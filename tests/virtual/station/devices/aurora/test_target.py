@@ -5,28 +5,28 @@ import math
 import numpy as np
 import pytest
 
-from station.devices.aurora.dialogue import AuroraSettings
+from station.devices.aurora.dialogue import AuroraSettings, Coil
 from station.devices.aurora.protocol import PORT_OCCUPIED, AuroraError, ReplyReader, parse_bx, parse_tx
 from station.devices.interfaces import Severity
 from station.lab.aurora_commands import ToolPort
 from station.lab.simulated_aurora import TARGET_SERIAL
 from tests.harness.aurora_bench import REST, AuroraBench
 
-WITH = AuroraSettings(target_serial=TARGET_SERIAL)
+WITH = AuroraSettings(target=Coil(TARGET_SERIAL))
 
 
 def swaying(now: float) -> np.ndarray:
     return REST + np.array([0.020, 0.005 * math.sin(2.0 * now), 0.015])
 
 
-@pytest.mark.parametrize("settings", [WITH, AuroraSettings(target_serial=TARGET_SERIAL, always_tx=True)])
+@pytest.mark.parametrize("settings", [WITH, AuroraSettings(target=Coil(TARGET_SERIAL), always_tx=True)])
 def test_positions_of_both_coils_come_from_the_same_frame(settings):
     bench = AuroraBench(settings, target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
 
-    read = bench.run(5.0, target=swaying)
+    read = bench.run(2.0, target=swaying)
 
-    assert len(read) == pytest.approx(200, abs=2)
+    assert len(read) == pytest.approx(80, abs=2)
     for _, reading in read:
         assert reading.target is not None
         np.testing.assert_allclose(reading.position, REST, atol=1e-5)
@@ -57,7 +57,7 @@ def test_reply_with_two_coils_matches_the_captured_format():
 
 
 def test_second_coil_is_ignored_without_the_key_target():
-    bench = AuroraBench(target=TARGET_SERIAL)
+    bench = AuroraBench(AuroraSettings(tool=Coil("3A5C1D00")), target=TARGET_SERIAL)
     bench.run(1.0, target=swaying)
 
     read = bench.run(2.0, target=swaying)
@@ -105,7 +105,7 @@ def test_unplugged_target_is_named_and_used_after_it_is_plugged_in():
 
     assert read
     assert trouble is not None
-    assert f"target {TARGET_SERIAL}: not plugged in; connected tools: 3A5C1D00" in trouble.text
+    assert f"target {TARGET_SERIAL}: not plugged in; connected tools: 3A5C1D00 (handle 0A)" in trouble.text
 
     unit = AuroraBench(target=TARGET_SERIAL).unit
     bench.unit._target = unit._target
@@ -126,4 +126,4 @@ def test_jump_of_the_target_is_rejected_without_affecting_the_tip():
 
 def test_coil_cannot_be_tip_and_target():
     with pytest.raises(AuroraError, match="cannot be the tip's coil and the target's"):
-        AuroraSettings(tool_serial="A", target_serial="A")
+        AuroraSettings(tool=Coil("A"), target=Coil("A"))
