@@ -89,12 +89,16 @@ def test_palette_carries_out_the_action_found_by_some_letters(page: Page, statio
     assert station.status()["state"] == "READY"
 
 
-def test_palette_shows_why_an_action_is_not_possible_and_does_not_carry_it_out(page: Page, station: Served) -> None:
+def test_palette_shows_why_an_action_is_not_possible_now_and_does_not_carry_it_out(page: Page, station: Served) -> None:
     palette(page)
     page.keyboard.type("reset")
     page.get_by_role("option", name="not while READY").first.wait_for()
     page.keyboard.press("Enter")
     expect(page.get_by_role("combobox", name="action")).to_be_visible()
+    station.post("/api/operator", {"take_over": True})
+    page.get_by_role("option", name="is operator: take over first").first.wait_for()
+    station.rest.delete("/api/operator")
+    page.get_by_role("option", name="not while READY").first.wait_for()
     wait_until_current(page)
     page.keyboard.press("Escape")
     page.locator("dialog[open]").wait_for(state="hidden")

@@ -1,5 +1,5 @@
 // Command palette (Ctrl+K): every action of the page by name, with the reason if it is not possible now.
-import { $, blockReason, button, latest, make, request, sendCommand } from "../page/station.js";
+import { $, blockReason, button, latest, make, onStatus, replaceChanged, request, sendCommand } from "../page/station.js";
 import { changeOperator, home } from "../page/header.js";
 import { stop } from "../page/stop.js";
 import { openTab } from "../page/tabs.js";
@@ -60,17 +60,18 @@ const dialog = make("dialog", { id: "palette", "aria-label": "actions" }, field,
 document.querySelector("main").append(dialog);
 let shown = [], chosen = 0, before = null; // listed actions, index of the chosen one, element that had the focus
 
+/** Draw the listed actions, if their titles or the reasons against them have changed. */
+function draw() {
+  const rows = shown.map((action, number) => [action.title, reasonAgainst(action), number]);
+  replaceChanged(list, [...rows, chosen], () => (rows.length === 0 ? [make("li", { role: "option", "aria-disabled": "true", className: "dim" }, "no action has these words")]
+    : rows.map(([title, reason, number]) => make("li", { id: `action-${number}`, role: "option", "aria-selected": String(number === chosen),
+      "aria-disabled": String(reason !== ""), onclick: () => carryOut(number) }, title, reason && make("span", { className: "small" }, ` ${reason}`)))));
+}
+
 function show() {
   shown = found(field.value);
   chosen = Math.max(0, Math.min(chosen, shown.length - 1));
-  list.replaceChildren(...shown.map((action, number) => {
-    const reason = reasonAgainst(action);
-    const item = make("li", { id: `action-${number}`, role: "option", "aria-selected": String(number === chosen), "aria-disabled": String(reason !== "") },
-      action.title, reason && make("span", { className: "small" }, ` ${reason}`));
-    item.addEventListener("click", () => carryOut(number));
-    return item;
-  }));
-  if (shown.length === 0) list.append(make("li", { role: "option", "aria-disabled": "true", className: "dim" }, "no action has these words"));
+  draw();
   field.setAttribute("aria-activedescendant", `action-${chosen}`);
   list.children[chosen]?.scrollIntoView({ block: "nearest" });
 }
@@ -100,6 +101,7 @@ async function open() {
 }
 
 field.addEventListener("input", () => { chosen = 0; show(); });
+onStatus(() => { if (dialog.open) draw(); }); // a reason may appear or disappear while the list is open
 dialog.addEventListener("keydown", (event) => {
   const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
   if (step !== undefined) { chosen = (chosen + step + shown.length) % Math.max(1, shown.length); show(); }
