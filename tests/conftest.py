@@ -25,9 +25,11 @@ from tests.harness.root import ROOT
 limit_to_one_thread()
 # Processes that tests start write their compiled Python files to disk, so that later processes start faster.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-# Random examples have no time limit, because another program may delay any of them.
-settings.register_profile("no deadline", deadline=None)
-settings.load_profile("no deadline")
+# Examples have no time limit, because another program may delay any of them. Every run has the same examples, so that
+# no change is refused by chance; `--hypothesis-profile=random` has new ones (weekly, .github/workflows/thorough.yml).
+settings.register_profile("same", deadline=None, derandomize=True)
+settings.register_profile("random", deadline=None)
+settings.load_profile("same")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
