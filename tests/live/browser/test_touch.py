@@ -196,7 +196,7 @@ def test_stiffness_is_changed_while_a_motion_with_a_stiffness_runs(station: Serv
     with page.expect_request("**/api/stiffness") as sent:
         press_until_sent(page, fields.get_by_role("button", name="Set stiffness").click, "/api/stiffness", "PUT")
     assert sent.value.post_data_json == {"stiffness": [60, 60, 500]}
-    expect(page.get_by_text("the tip reaches this stiffness within 1 s")).to_be_visible()
+    page.locator(".note.good", has_text="the tip reaches this stiffness within 1 s").wait_for()
     with connect(f"ws://127.0.0.1:{station.port}/api/telemetry?rate=50", proxy=None) as telemetry:
         while (sample := json.loads(telemetry.recv()))["stiffness"] != [60.0, 60.0, 500.0]:
             assert sample["phase"] == "moving"
