@@ -237,7 +237,7 @@ def test_move_cp_is_busy_until_the_tip_has_arrived_and_needs_a_run_for_targets(s
     leader.send("move_cp", pose(goal))
     leader.wait("operating_state", BUSY)
     leader.wait("operating_state", FREE)
-    assert setpoint(leader) == pytest.approx(goal, abs=2e-4)
+    assert setpoint(leader) == pytest.approx(goal, abs=2e-4), [each.data for each in leader.all["error"]]
     assert xyz(leader.wait("goal_cp", lambda message: message.header.stamp.sec > 0).pose.position) == pytest.approx(
         goal
     )
