@@ -1,11 +1,13 @@
 """The command `ctr-station`: the subcommand `serve`, and all commands of `python -m station`."""
 
 import argparse
+import errno
+import os
 import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -14,8 +16,11 @@ from station.cli.options import add_without, data_folder, seed
 from station.control.realtime import uncollected
 from web.gateway.options import FOXGLOVE_PORT, IGTL_PORT, ZENOH_PORT, GatewayOptions, ListenAddress, address_of
 
-#: Signals that end the station in an orderly way.
-EXIT_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Signals that end the station in an orderly way; SIGHUP comes when its terminal is closed, SIGQUIT from Ctrl-\\.
+EXIT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+#: Signals that would suspend the station: Ctrl-Z, and use of the terminal by a program in the background.
+SUSPENDING_SIGNALS = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+NOT_SUSPENDED = b"\nctr-station cannot be suspended, because it could then take no STOP; Ctrl-C ends it.\n"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -99,9 +104,23 @@ def _address(text: str) -> ListenAddress:
         raise argparse.ArgumentTypeError(f"{text}: {error}") from None
 
 
+def without_closed_terminal() -> None:
+    """Discard further output to a terminal that was closed: writing to it would raise an error during the cleanup."""
+    for stream in (0, 1, 2):
+        try:
+            os.tcgetpgrp(stream)  # only a terminal that still exists has a foreground process group
+        except OSError as error:
+            if error.errno == errno.EIO:
+                nothing = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nothing, stream)
+                os.close(nothing)
+
+
 @contextmanager
 def exit_on_signal() -> Iterator[Callable[[], bool]]:
     """Raise KeyboardInterrupt at the first signal; ignore further signals during the cleanup that follows.
+
+    Signals that would suspend the station are refused with a sentence. SIGHUP stays ignored under `nohup`.
 
     The context's value is a function that returns whether a signal has arrived. A loop that waits for the end calls it
     as well, because Python drops the exception if the signal arrives during a finalizer.
@@ -110,11 +129,18 @@ def exit_on_signal() -> Iterator[Callable[[], bool]]:
 
     def on_signal(number: int, _frame: FrameType | None) -> None:
         received.append(number)
+        without_closed_terminal()
         for ending in EXIT_SIGNALS:
             signal.signal(ending, signal.SIG_IGN)  # the signals stay ignored while the interpreter ends
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, on_signal) for number in EXIT_SIGNALS}
+    def refuse(_number: int, _frame: FrameType | None) -> None:
+        with suppress(OSError):
+            os.write(2, NOT_SUSPENDED)
+
+    ending = [number for number in EXIT_SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, on_signal) for number in ending}
+    before |= {number: signal.signal(number, refuse) for number in SUSPENDING_SIGNALS}
     try:
         yield lambda: bool(received)
     finally:

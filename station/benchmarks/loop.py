@@ -1,7 +1,6 @@
 """`ctr-station bench loop`: lateness of the control loop, which runs at 500 Hz in a separate process."""
 
 import os
-import signal
 import tempfile
 import time
 from collections.abc import Callable
@@ -66,7 +65,6 @@ class TimerProbe:
 
 def _watch(ring_name: str, core: int | None, _pipe: Connection, parent: int) -> None:
     """Main function of the timer's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
     set_process_name("ctr-probe")
     ring = Ring(1, ring_name)
     request_realtime(fifo=False, core=core)

@@ -5,7 +5,6 @@ Planning and fits take seconds of processor time. In the station process they wo
 
 import contextlib
 import os
-import signal
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -61,7 +60,6 @@ WorkerMessage = Step | JobFinished | JobFailed
 
 def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
     """Run the worker process: send steps through `pipe` and receive an answer to each."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when the worker ends
     set_process_name("ctr-calibrate")
     if hasattr(os, "nice"):
         os.nice(NICENESS)

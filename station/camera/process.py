@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from station.camera.messages import CameraOrder, CameraPicture, CameraReport, EndVideo, ShowBoard, StartVideo, Watch
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
+from station.control.guard import BackgroundWatch, Rank
 from station.control.realtime import set_process_name
 from station.control.ring import BALL_PORT, Ring
 from station.devices.cameras import CameraFile
@@ -57,19 +58,19 @@ class CameraSetup:
 
 def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
     """Main function of a camera's process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the station process decides when this process ends
     signals: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     set_process_name("ctr-camera")
     if not setup.tracks:
         os.nice(NICENESS)
     ring = Ring(setup.ring_width, setup.ring_name)
-    capture = _Capture(setup, ring, pipe)
+    watch, capture = BackgroundWatch(ring, Rank.CAMERA, setup.clock), _Capture(setup, ring, pipe)
     try:
         with contextlib.suppress(EOFError, OSError):  # the station process has ended
             while not signals and os.getppid() == parent and capture.step():
                 pass
     finally:
+        watch.close()
         capture.close()
         ring.close(remove=os.getppid() != parent)
 

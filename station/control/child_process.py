@@ -52,13 +52,12 @@ class ChildProcess:
         """
         context: Any = multiprocessing.get_context("fork" if _has_one_thread() else "spawn")
         self.pipe, end = context.Pipe()  #: end of the pipe to the child; readable when the child has sent a message
-        target, given = main, (*arguments, end, os.getpid())
+        target, given = _apart, (main, *arguments, end, os.getpid())
         if context.get_start_method() == "fork":
             resource_tracker.ensure_running()  # the child shares this tracker process
-            target, given = _forked, (_open_descriptors(), main, *given)
+            target, given = _forked, (_open_descriptors(), *given)
         self._process = context.Process(target=target, args=given, name=name, daemon=daemon)
-        # Ctrl-C in a terminal sends SIGINT to the whole process group, but the parent decides when the child ends. So
-        # the child blocks SIGINT from its first instruction on.
+        # Until the child has its own session, Ctrl-C in a terminal reaches it, too. So it starts with SIGINT blocked.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self._process.start()
@@ -155,6 +154,15 @@ def _forked(inherited: set[int], main: Callable[..., None], *arguments: Any) -> 
     os.close(nothing)
     gc.freeze()  # a collection would copy the memory that the child shares with its parent
     gc.enable()  # the parent disables it during its start
+    _apart(main, *arguments)
+
+
+def _apart(main: Callable[..., None], *arguments: Any) -> None:
+    """Run `main(*arguments)` in a session of its own, which signals from the parent's terminal do not reach."""
+    os.setsid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when its children end
+    # A session without a terminal may get one by opening a serial port; pulling its plug then sends SIGHUP.
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     main(*arguments)
 
 

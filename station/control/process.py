@@ -26,10 +26,11 @@ from station.control.driver_guard import DriverCalls, guard_drivers
 from station.control.loop import ControlLoop
 from station.control.messages import CommandRefused, DeviceReport, DeviceStatus, StateNotice
 from station.control.monitors import Margins, OverrunLimits, Overruns
-from station.control.realtime import is_dying, load, request_realtime, set_process_name, too_busy
+from station.control.realtime import Life, life, load, request_realtime, set_process_name, too_busy
 from station.control.ring import (
     BALL_PORT,
     DRIVEN,
+    DRIVER,
     GENERATION,
     HEARTBEAT,
     PHASE,
@@ -81,8 +82,6 @@ class ControlSetup:
 
 def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: int) -> None:
     """Run the control process, which first waits for the description of the devices in `pipe`."""
-    # Ctrl-C in a terminal reaches every process of its group, but the station process decides when this process ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     set_process_name("ctr-control")
     ring = Ring(ring_width(setup.robot), ring_name)
     try:
@@ -93,7 +92,7 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
             return
         calls = DriverCalls(ring, setup.clock)
         devices = guard_drivers(open_devices(bench, setup.robot), bench, calls, setup.robot)
-        ring.counters[DRIVEN] = 1
+        ring.counters[DRIVEN], ring.counters[DRIVER] = 1, os.getpid()
         if isinstance(devices.tracker, StereoTracker):
             ring.numbers[BALL_PORT] = devices.tracker.port
         try:
@@ -106,8 +105,8 @@ def run_control(setup: ControlSetup, ring_name: str, pipe: Connection, parent: i
             _LiveLoop(loop, calls, setup, ring, pipe, parent).run(stopped)
         finally:
             _close(devices)
-            if os.getppid() != parent or is_dying(parent):
-                _final_stop(bench, setup)
+            if not _is_gone(parent) or _final_stop(bench, setup):
+                ring.counters[DRIVER] = 0
     except (EOFError, ConnectionError):
         return  # the station process is gone
     except CtrError as error:
@@ -140,13 +139,20 @@ def ring_width(robot: RobotFile) -> int:
     return len(Channels(robot.robot()))
 
 
-def _final_stop(bench: BenchFile, setup: ControlSetup) -> None:
-    """Stop every axis, homing axes included, because the station process is gone and cannot stop them."""
+def _is_gone(station: int) -> bool:
+    """Return whether the station process, the parent of this one, has ended or is being killed."""
+    return os.getppid() != station or life(station) is Life.ENDED
+
+
+def _final_stop(bench: BenchFile, setup: ControlSetup) -> bool:
+    """Stop every axis, homing axes included, because the station process is gone; return whether they have stopped."""
     stop = emergency_stop(bench.stages, setup.robot)
     if stop is not None:
         # An installed driver may raise anything, and there is no process to report to.
         with contextlib.suppress(BaseException):
             stop(setup.clock)
+            return True
+    return stop is None
 
 
 class _LiveLoop:
@@ -176,7 +182,7 @@ class _LiveLoop:
         try:
             self._ticks()
         finally:
-            if (os.getppid() != self._parent or is_dying(self._parent)) and hasattr(signal, "alarm"):
+            if _is_gone(self._parent) and hasattr(signal, "alarm"):
                 signal.signal(signal.SIGALRM, signal.SIG_DFL)
                 signal.alarm(ORPHAN_TIME)
             # Stop the axes at the end, whatever has ended the loop.
@@ -267,8 +273,12 @@ class _LiveLoop:
         """Execute the commands that have arrived; return False if the station process is gone."""
         if os.getppid() != self._parent:
             return False
-        if STATION_CHECK_AFTER_S < self._station.silence < STATION_BUSY and is_dying(self._parent):
-            return False
+        if STATION_CHECK_AFTER_S < self._station.silence < STATION_BUSY:
+            station = life(self._parent)
+            if station is Life.ENDED:
+                return False
+            if station is Life.SUSPENDED and self._loop.state in (State.RUNNING, State.HOMING):
+                self._loop.stop(now, cause="the station process was suspended, and all axes were stopped")
         try:
             while self._commands.poll(0):
                 message: CommandMessage | None = self._pipe.recv()

@@ -5,6 +5,7 @@ import ctypes
 import gc
 import os
 from collections.abc import Iterable, Iterator
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -155,8 +156,16 @@ def too_busy(what: str) -> str:
     return f"{TOO_BUSY}: {what}; {RELIEF}"
 
 
-def is_dying(pid: int) -> bool:
-    """Return whether a process has been killed or has ended, as far as the system reports it.
+class Life(IntEnum):
+    """What the system reports about a process."""
+
+    RUNS = 0
+    SUSPENDED = 1  #: stopped by a signal, such as SIGSTOP or Ctrl-Z
+    ENDED = 2  #: has ended or is being killed
+
+
+def life(pid: int) -> Life:
+    """Return whether a process runs, is suspended, or has ended or been killed, as far as the system reports it.
 
     Children of the process and the other ends of its pipes detect the end only after its last thread has ended. On a
     busy computer this takes a tenth of a second.
@@ -164,10 +173,24 @@ def is_dying(pid: int) -> bool:
     try:
         lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return False
+        return Life.RUNS if exists(pid) else Life.ENDED
     status = dict(line.split(":\t", 1) for line in lines if ":\t" in line)
     pending = int(status.get("SigPnd", "0"), 16) | int(status.get("ShdPnd", "0"), 16)
-    return status.get("State", "")[:1] in ("Z", "X") or bool(pending >> (_SIGKILL - 1) & 1)
+    state = status.get("State", "")[:1]
+    if state in ("Z", "X") or pending >> (_SIGKILL - 1) & 1:
+        return Life.ENDED
+    return Life.SUSPENDED if state == "T" else Life.RUNS
+
+
+def exists(pid: int) -> bool:
+    """Return whether there is a process with this process ID, of any user."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass  # the process runs and belongs to another user
+    return True
 
 
 def load() -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from core.control.setpoint_request import SetpointRequest
 from core.robot.robot import Array
+from station.control.realtime import exists
 from station.control.task import StreamRequest
 from station.devices.interfaces import GroundTruth
 
@@ -26,12 +27,17 @@ SEGMENT_FOLDER = Path("/dev/shm")  # noqa: S108 - folder in which Linux shows se
 RING_ROWS = 4096  #: number of rows in the ring: about 8 s at 500 Hz
 HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin counts all values from 5 ms on
 
+#: Number of ranks of processes that may stop the stages (`guard.py`).
+RANKS = 5
 #: Indices of the counters. DRIVER_IN_CALL is the number of the custom driver or loop that is being called, from 1; 0 if
 #: there is none. GENERATION is the number of requested STOPs and resets; only the station process writes it. DRIVEN is
 #: 1 after a control process of this station has opened the stages. PREPARED_LATE is the number of functions that were
-#: compiled or loaded while the control loop was running.
+#: compiled or loaded while the control loop was running. DRIVER is the process ID of the control process that has
+#: opened the stages, until they are stopped after its end; 0 if there is none. From WATCHERS on follow the process
+#: IDs of the processes that stop the stages in its place, by their rank.
 WRITTEN, MISSED, SCHEDULER, STATE, PHASE, RUN, STUCK, DRIVER_IN_CALL, GENERATION, DRIVEN, PREPARED_LATE = range(11)
-COUNTERS = 11
+DRIVER, WATCHERS = 11, 12
+COUNTERS = WATCHERS + RANKS
 #: Indices of the floating-point numbers. A heartbeat is the time at which a process last reported that it is alive, by
 #: the station's clock [s]. SHAPE_PORT is the UDP port at which the virtual lab gives the true shape to simulated
 #: cameras, and BALL_PORT the one at which the driver `stereo` receives the pixels of the ball; 0 if there is no port.
@@ -41,6 +47,8 @@ NUMBERS = 9
 #: Number of cells of the lab's ground truth. The cells are: write count (odd during a write), tip, force, whether there
 #: is a target, position of the target, direction of the tip.
 TRUTH = 14
+#: Largest size of the description of the stages for the processes that may have to stop them [bytes].
+BRIEFING_BYTES = 65536
 #: Number of cells of a setpoint request. The cells are: write count (odd during a write), run, whether there is a
 #: position, position, velocity, time, extrapolation, whether there is a direction, direction.
 SETPOINT_REQUEST = 15
@@ -61,7 +69,8 @@ class Ring:
 
     def __init__(self, width: int, name: str | None = None) -> None:
         """Create a shared memory segment for rows of `width` numbers, or attach to the segment called `name`."""
-        size = 8 * (COUNTERS + NUMBERS + TRUTH + SETPOINT_REQUEST + 2 * HISTOGRAM_BINS + RING_ROWS * width)
+        cells = COUNTERS + NUMBERS + TRUTH + SETPOINT_REQUEST + 2 * HISTOGRAM_BINS + RING_ROWS * width
+        size = 8 * cells + BRIEFING_BYTES
         self._memory = SharedMemory(name or _new_name(), create=name is None, size=size)
         self.name: str = self._memory.name
         buffer: Any = self._memory.buf
@@ -80,6 +89,7 @@ class Ring:
         self.late: NDArray[np.int64] = view(HISTOGRAM_BINS, np.int64)
         self.busy: NDArray[np.int64] = view(HISTOGRAM_BINS, np.int64)
         self._rows: Array = view(RING_ROWS * width, np.float64).reshape(RING_ROWS, width)
+        self._briefing: NDArray[np.uint8] = np.frombuffer(buffer, np.uint8, BRIEFING_BYTES, offset)
         self._ground_truth: GroundTruth | None = None
         self._request: StreamRequest | None = None
 
@@ -135,6 +145,20 @@ class Ring:
             self._request = StreamRequest(run, setpoint)
         # During a write this is the previous request, because the loop does not wait.
         return self._request if self._request is not None and self._request.run == run else None
+
+    def write_briefing(self, briefing: bytes) -> None:
+        """Write the description of the stages for `guard.py`; only the station process calls this.
+
+        Raises:
+            ValueError: it is too large.
+        """
+        if len(briefing) > BRIEFING_BYTES:
+            raise ValueError(f"the description of the stages has {len(briefing)} bytes of at most {BRIEFING_BYTES}")
+        self._briefing[: len(briefing)] = np.frombuffer(briefing, np.uint8)
+
+    def briefing(self) -> bytes:
+        """Return the description of the stages, with zeros after it."""
+        return self._briefing.tobytes()
 
     def time_late(self, late: float, skipped: int) -> None:
         """Count the lateness of a tick's start [s] in the histogram, and the whole periods that were skipped."""
@@ -192,7 +216,16 @@ class Ring:
 
     def close(self, *, remove: bool) -> None:
         """Detach from the segment; `remove` also deletes it, which is the task of the process that created it."""
-        del self.counters, self.numbers, self._truth, self._request_cells, self.late, self.busy, self._rows
+        del (
+            self.counters,
+            self.numbers,
+            self._truth,
+            self._request_cells,
+            self.late,
+            self.busy,
+            self._rows,
+            self._briefing,
+        )
         self._memory.close()
         if remove:
             try:
@@ -212,18 +245,8 @@ def clear_left_behind() -> None:
         process = path.name.removeprefix(SEGMENT_PREFIX).partition("_")[0]
         # The file may belong to another user, be already gone, or have no pid in its name.
         with contextlib.suppress(OSError, ValueError):
-            if path.stat().st_uid == os.getuid() and not _runs(int(process)):
+            if path.stat().st_uid == os.getuid() and not exists(int(process)):
                 path.unlink()
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass  # the process runs and belongs to another user
-    return True
 
 
 def _percentiles(histogram: NDArray[np.int64], largest: float) -> dict[str, float]:

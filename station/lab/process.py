@@ -63,10 +63,9 @@ def run_lab(bench: LabBench, ring_name: str, width: int, pipe: Connection, paren
 
     It sends the endpoints of its devices to the station process, or the reason why it has not started.
     """
-    # The station process ends the lab. Ctrl-C in a terminal and a service manager's SIGTERM reach all processes of the
-    # group, but the lab must outlive the other processes, which wait for the stages to stop.
-    for ending in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(ending, signal.SIG_IGN)
+    # A service manager's SIGTERM reaches all processes of the station, but the lab must outlive the other processes,
+    # which wait for the stages to stop.
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     set_process_name("ctr-lab")
     ring = Ring(width, ring_name)
     try:

@@ -23,6 +23,7 @@ from station.config.motions import PalpateMotion
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess, takes_message
 from station.control.clock import REAL_TIME_CLOCK, StationClock
+from station.control.guard import BackgroundWatch, Rank
 from station.control.realtime import set_process_name
 from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.task import Phase
@@ -205,13 +206,12 @@ def run_recorder(
 ) -> None:
     """Main function of the recorder's process."""
     set_process_name("ctr-recorder")
-    # Ctrl-C in a terminal reaches every process of the group. This process ignores it: the parent decides when it ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signals: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, _: signals.append(number))
     channels = Channels(robot.robot())
     ring = Ring(len(channels), ring_name)
     _warm_up(robot, channels)
+    watch = BackgroundWatch(ring, Rank.RECORDER, clock)
     recording: _Recording | None = None
     # `Connection.poll` creates a selector for every call and would need a tenth of the recorder's processor time.
     poller = select.poll()
@@ -249,6 +249,7 @@ def run_recorder(
     except (EOFError, OSError):
         pass  # the parent process has ended; an active recording is finished below
     finally:
+        watch.close()
         if recording is not None:
             recording.end(EndRecording(RunOutcome.INTERRUPTED, "the station process is gone", {}))
         ring.close(remove=os.getppid() != parent)

@@ -12,10 +12,11 @@ from core.errors import CtrError
 from station.control.child_process import ChildProcess
 from station.control.commands import CommandMessage, ControlCommand, Hold, Reply, Reset, Stop
 from station.control.driver_guard import driver_in_call
+from station.control.guard import brief
 from station.control.messages import CommandRefused, DeviceReport, StateNotice
 from station.control.process import run_control
 from station.control.realtime import request_fifo
-from station.control.ring import DRIVEN, DRIVER_IN_CALL, HEARTBEAT, Ring
+from station.control.ring import DRIVEN, DRIVER, DRIVER_IN_CALL, HEARTBEAT, Ring
 from station.control.states import RefusedError
 from station.devices.config import BenchFile
 from station.service.fallback_stop import NO_STAGES, PRESS, PRIORITY, FallbackStop, StopOutcome
@@ -278,12 +279,16 @@ class ControlHost:
 
     def _report_stop(self, stopped: StopOutcome) -> None:
         """Report the outcome, unless this host is closed: another control process may then drive the stages."""
-        if not self._closing:
-            self._on_report(stopped)
+        if self._closing:
+            return
+        if stopped.confirmed and self._ring.counters[DRIVER] == self.pid:
+            self._ring.counters[DRIVER] = 0
+        self._on_report(stopped)
 
     def _listen(self) -> None:
         self._opened = devices = self._registered(self._devices())
         self._fallback = FallbackStop(devices.stages, self._robot, self._clock, fifo=self._fifo)
+        brief(self._ring, devices, self._robot)
         try:
             with self._sending:
                 self._child.pipe.send(devices)

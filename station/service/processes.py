@@ -8,10 +8,11 @@ from collections.abc import Callable, Collection, Sequence
 from station.config.loads import Load, NoLoad, Obstacle
 from station.config.strict import ConfigError
 from station.control.child_process import is_alive
+from station.control.guard import Guard, Rank
 from station.control.messages import StateNotice
 from station.control.process import ring_width
-from station.control.realtime import load, request_fifo, too_busy
-from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATION_HEARTBEAT, Ring
+from station.control.realtime import Life, life, load, request_fifo, too_busy
+from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATE, STATION_HEARTBEAT, WATCHERS, Ring
 from station.control.states import RefusedError, State
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
@@ -146,7 +147,13 @@ HUNG_AFTER_S = 1.0
 FIRST_TICKS_TIMEOUT_S = 60.0
 #: Longest time that a reset waits for the heartbeat of a process [s].
 HEARTBEAT_TIMEOUT_S = 3.0
-LAB_LABEL, CONTROL_LABEL = "the virtual lab", "the control process"
+LAB_LABEL, CONTROL_LABEL, GUARD_LABEL = "the virtual lab", "the control process", "the guard"
+#: Time for the guard to end [s]; after it the guard is killed.
+GUARD_PATIENCE_S = 1.0
+#: States in which the stages may move.
+MOVING = (State.RUNNING, State.HOMING)
+#: Time without a tick after which the system is asked whether the control process is suspended [s].
+SUSPENDED_AFTER_S = 0.2
 #: Interval between two checks by the watchdog [s].
 POLL_INTERVAL_S = 0.02
 #: Delay of a watchdog's check above which the station shows a warning [s], and duration of that warning [s].
@@ -179,6 +186,9 @@ class ProcessSupervisor:
         self._tick_timeout = FIRST_TICKS_TIMEOUT_S
         self._checked_at = self._late_at = 0.0  # times of the last check and of the last long delay [s]
         self._late = 0.0  # latest delay of the watchdog that caused a warning [s]
+        self._guard: Guard | None = None
+        self._parent = os.getppid()
+        self._lost = dict.fromkeys(Rank, 0)  # process IDs of helpers that were found ended or suspended
         self.control: ControlHost | None = None  #: host of the present control process; None before `open`
         self._closing, self._changing = threading.Event(), threading.Lock()
         self._watchdog = threading.Thread(target=self._watch, name="watchdog")
@@ -186,6 +196,8 @@ class ProcessSupervisor:
     def open(self) -> None:
         """Start the processes and the watchdog; call this once."""
         limit_to_one_thread()
+        self._ring.counters[WATCHERS + Rank.STATION] = os.getpid()
+        self._start_guard()
         self.lab.open()
         self._start_control()
         self._watchdog.start()
@@ -212,7 +224,18 @@ class ProcessSupervisor:
             found["control"] = self.control.pid
         if self.lab.pid is not None:
             found["lab"] = self.lab.pid
+        if self._guard is not None:
+            found["guard"] = self._guard.pid
         return found
+
+    def renew_guard(self) -> bool:
+        """Start another guard if the present one has ended or is suspended; return whether that was necessary."""
+        with self._changing:
+            if self._guard is None or self._guard.runs or self.closing:
+                return False
+            self._guard.close(0.0)
+            self._start_guard()
+            return True
 
     def end_failed(self, failed: Collection[str]) -> None:
         """End the control process, and also the lab if `failed` contains the lab's label."""
@@ -265,8 +288,14 @@ class ProcessSupervisor:
         """End the control process like `end_control`, then the lab."""
         self.end_control()
         self.lab.close()
+        if self._guard is not None:
+            self._guard.close(GUARD_PATIENCE_S)
+            self._guard = None
         if self._watchdog.is_alive():
             self._watchdog.join(timeout=self._clock.real(3.0))
+
+    def _start_guard(self) -> None:
+        self._guard = Guard(self._ring, ring_width(self._bench.robot), self._clock)
 
     def _start_control(self) -> None:
         self.control = ControlHost(self._bench, self._ring, self.lab.devices, self._receive, self._on_exit)
@@ -305,6 +334,25 @@ class ProcessSupervisor:
                 control.kill(f"{silent}, because it waits for {waits_for}")
             else:
                 control.kill(too_busy(silent), load())
-        elif problem := self._problem():
-            # A run has no value without its recording, so a failed recording ends the run in HOLD.
+        elif ticked > 0.0 and now - ticked > SUSPENDED_AFTER_S and life(control.pid) is Life.SUSPENDED:
+            control.kill("the control process was suspended")
+        # A run has no value without its recording, so a failed recording ends the run in HOLD.
+        elif problem := self._lost_process() or self._problem():
             control.hold(problem)
+
+    def _lost_process(self) -> str:
+        """Return why a motion must end: without a guard always, else only at the end of another process."""
+        moving = self._ring.counters[STATE] in MOVING
+        if moving and self._guard is not None and not self._guard.runs:
+            return "the guard has ended or is suspended, so nothing may move; reset starts another guard"
+        lost = ""
+        if self._parent != os.getppid():
+            self._parent = os.getppid()
+            lost = "the program that started the station has ended"
+        for rank in (Rank.RECORDER, Rank.GATEWAY, Rank.CAMERA):
+            pid = int(self._ring.counters[WATCHERS + rank])
+            if pid and pid != self._lost[rank] and (found := life(pid)) is not Life.RUNS:
+                self._lost[rank] = pid
+                how = "has ended" if found is Life.ENDED else "was suspended"
+                lost = f"the process of the {rank.name.lower()} {how}"
+        return f"{lost}, and all axes were stopped" if lost and moving else ""

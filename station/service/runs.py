@@ -20,6 +20,7 @@ from station.config.robots import RobotFile
 from station.control.child_process import is_alive
 from station.control.clock import StationClock
 from station.control.messages import StateNotice
+from station.control.realtime import Life, life
 from station.control.ring import RECORDER_HEARTBEAT, Ring
 from station.control.states import RefusedError, State
 from station.control.task import MotionTask
@@ -165,7 +166,8 @@ class LiveRecording:
     @property
     def healthy(self) -> bool:
         """Whether the recorder runs and does not hang; waits up to `RECORDER_TIMEOUT_S` for its heartbeat."""
-        if not self._recorder.child.alive:
+        child = self._recorder.child
+        if not child.alive or life(child.pid) is Life.SUSPENDED:
             return False
         starting = not self._ring.numbers[RECORDER_HEARTBEAT] and self._clock.now() - self._started < START_TIMEOUT_S
         return starting or self.finishing or is_alive(self._ring, RECORDER_HEARTBEAT, self._clock, RECORDER_TIMEOUT_S)

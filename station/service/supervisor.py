@@ -33,7 +33,7 @@ from station.service.commands import MotionSettings, Start, StationCommand
 from station.service.control_host import NOTHING_MOVES, ControlHost, ControlReport, ExitReport, NoReply
 from station.service.fallback_stop import StopOutcome
 from station.service.permits import Permit, Permits, VoidError
-from station.service.processes import CONTROL_LABEL, ProcessSupervisor
+from station.service.processes import CONTROL_LABEL, GUARD_LABEL, ProcessSupervisor
 from station.service.runs import RunRequest, Runs, StartRequest
 from station.service.station_file import Rig
 from station.service.status import StateMonitor, StationStatus
@@ -332,7 +332,8 @@ class Supervisor:
         return self._reset_once()
 
     def _reset(self) -> str:
-        recorder = ("the recorder",) if self.runs.renew() else ()
+        renewed = {"the recorder": self.runs.renew(), GUARD_LABEL: self._processes.renew_guard()}
+        helpers = tuple(name for name, new in renewed.items() if new)
         failed = self._processes.failed()
         if not failed:
             try:
@@ -340,7 +341,7 @@ class Supervisor:
             except NoReply:
                 failed = self._processes.failed() or (CONTROL_LABEL,)
             except RefusedError:
-                if not recorder:
+                if not helpers:
                     raise
         if failed:
             self._reset_command.check_fault(State.FAULT)
@@ -352,7 +353,7 @@ class Supervisor:
             self.runs.forget()
             self._processes.restart()
             self.wait_ready(RESTART_TIMEOUT_S, since)
-        restarted = " and ".join((*recorder, *failed))
+        restarted = " and ".join((*helpers, *failed))
         if restarted:
             self._flight_recorder.note("reset", f"restarted: {restarted}")
         return restarted and f"restarted: {restarted}"

@@ -11,12 +11,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from station.config.robots import load_robot
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import request_fifo
 from station.devices.zaber.protocol import ZaberStatus
+from station.lab.config import LabConfig, StagesKind, load_lab
 from station.lab.lab_server import LabServer
 from station.service.station_file import load_station
 from tests.harness.waiting import NET, until
+
+#: Time without a step after which the stages are at rest [s].
+REST_S = 0.6
 
 
 class Note(NamedTuple):
@@ -34,12 +39,15 @@ class Note(NamedTuple):
 class WatchedLab:
     """Handle of the lab's process; it is a context manager."""
 
-    def __init__(self, clock: StationClock = REAL_TIME_CLOCK) -> None:
-        """`clock`: clock of the station that will drive the lab."""
+    def __init__(
+        self, clock: StationClock = REAL_TIME_CLOCK, stages: StagesKind = "zaber", lab: str = "gentle"
+    ) -> None:
+        """`clock`: clock of the station that will drive the lab. `stages`: kind of the stages of the lab `lab`."""
         self.clock = clock
+        self.config = load_lab(lab, load_robot("paper")).model_copy(update={"stages": stages})
         context = multiprocessing.get_context("spawn")
         self._pipe, child = context.Pipe()
-        self._process = context.Process(target=_run, args=(child, clock), name="watched lab")
+        self._process = context.Process(target=_run, args=(child, clock, self.config), name="watched lab")
         self._process.start()
         child.close()
         self.endpoints: Mapping[str, Any] = self._pipe.recv()
@@ -53,6 +61,16 @@ class WatchedLab:
         """Return whether a stage moves now and has received no command to stop."""
         notes = self.notes()
         return bool(notes) and notes[-1].moving
+
+    def last_step(self) -> float:
+        """Return the time at which a stage of any kind moved last, by at least a microstep [s]; 0 before that."""
+        self._pipe.send("last step")
+        return self._pipe.recv()
+
+    def rest_after(self, since: float) -> float:
+        """Wait until no stage has moved for a while; return the time from `since` to the last step [s]."""
+        until(lambda: self.clock.now() - max(since, self.last_step()) > REST_S, "rest of every stage")
+        return max(0.0, self.last_step() - since)
 
     def stop_delay(self, since: float) -> float:
         """Wait until all stages, one of which moved at `since` [s], must stop; return the time after `since` [s]."""
@@ -84,21 +102,28 @@ class WatchedLab:
         self._pipe.close()
 
 
-def _run(pipe: Connection, clock: StationClock) -> None:
+def _run(pipe: Connection, clock: StationClock, config: LabConfig) -> None:
     bench = load_station(None).bench()
     notes: list[Note] = []
-    with LabServer(bench.robot, bench.lab, 0, np.array(bench.park), homed=True, clock=clock) as lab:
+    counts, last_step = tuple[int, ...](), 0.0
+    zaber = config.stages == "zaber"
+    with LabServer(bench.robot, config, 0, np.array(bench.park), homed=True, clock=clock) as lab:
         request_fifo(40)
         pipe.send(lab.endpoints)
 
         def ended() -> bool:
-            statuses = tuple(unit.status for unit in lab.lab.chain.units)
+            nonlocal counts, last_step
+            now = tuple(round(unit.true_position) for unit in lab.lab.chain.units)
+            if now != counts:
+                last_step = lab.start_time + lab.lab.time if counts else 0.0
+                counts = now
+            statuses = tuple(unit.status for unit in lab.lab.chain.units) if zaber else ()
             if not notes or notes[-1].statuses != statuses:
                 notes.append(Note(lab.start_time + lab.lab.chain.time, statuses))
             while pipe.poll():
-                if pipe.recv() is None:
+                if (asked := pipe.recv()) is None:
                     return True
-                pipe.send(notes)
+                pipe.send(last_step if asked == "last step" else notes)
             return False
 
         lab.run(ended)

@@ -17,6 +17,7 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.child_process import takes_message
 from station.control.clock import StationClock
+from station.control.guard import BackgroundWatch, Rank
 from station.control.realtime import move_off_core, set_process_name
 from station.control.ring import Ring
 from station.control.telemetry import Channels
@@ -115,15 +116,15 @@ def run_gateway(setup: GatewaySetup, ring_name: str, pipe: Connection, parent: i
     """Run the gateway process until the station process ends it."""
     set_process_name("ctr-gateway")
     move_off_core(setup.core, [os.getpid()])
-    # Ctrl-C in a terminal reaches the whole process group, but the station process decides when this one ends.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     robot = setup.robot.robot()
     ring = Ring(len(Channels(robot)), ring_name)
+    watch = BackgroundWatch(ring, Rank.GATEWAY, setup.clock)
     try:
         asyncio.run(_Gateway(setup, ring, pipe).run(parent))
     except (EOFError, ConnectionError):
         return  # the pipe is closed because the station process has ended
     finally:
+        watch.close()
         ring.close(remove=os.getppid() != parent)
 
 

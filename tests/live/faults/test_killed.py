@@ -4,7 +4,6 @@ A station process that is only busy does not end a run. A reset starts another c
 """
 
 import os
-import re
 import signal
 from pathlib import Path
 
@@ -43,7 +42,7 @@ def test_stages_stop_after_a_kill_of_the_control_process_and_a_reset_starts_anot
     assert kept.read_text().startswith("# the control process ended by signal 9")
 
 
-def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
+def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_is_suspended(
     mortal: LoneStation, watched_lab: WatchedLab, recordings: Path
 ) -> None:
     until_moving(mortal, watched_lab)
@@ -51,8 +50,7 @@ def test_stages_stop_and_the_run_is_interrupted_when_the_control_process_hangs(
     mortal.child("control").send_signal(signal.SIGSTOP)
     assert watched_lab.stop_delay(begin) > 0.0
     status = until(lambda: (now := mortal.ask("status"))["state"] == "FAULT" and now["cause"] and now)
-    # A watchdog that was delayed finds a longer silence.
-    assert re.match(r"this computer was too busy: the control loop was silent for \d+\.\d s", status["cause"])
+    assert status["cause"].startswith("the control process was suspended; ")
     assert label(recordings, status["run"]) is RunOutcome.INTERRUPTED
     back(mortal)
 
@@ -110,9 +108,7 @@ def test_stages_stop_and_the_run_ends_when_the_station_process_is_suspended(
     finally:
         mortal.process.send_signal(signal.SIGCONT)
     status = until(lambda: (now := mortal.ask("status"))["state"] == "STOPPED" and now["cause"] and now)
-    assert status["cause"].startswith("this computer was too busy: the station process was silent for ")
-    assert "close other programs and run 'ctr-station doctor'" in status["cause"]
-    assert "the station process used no processor for " in status["details"]
+    assert status["cause"] == "the station process was suspended, and all axes were stopped"
 
 
 def runs(folder: Path) -> list[Path]:

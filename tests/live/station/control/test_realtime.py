@@ -1,15 +1,15 @@
 """Real-time rights of a process, checked from another process."""
 
 import os
+import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
-from station.control.realtime import is_dying
+from station.control.realtime import Life, life
 from tests.harness.root import ROOT
-from tests.harness.waiting import NET
+from tests.harness.waiting import NET, until
 
 SCRIPT = """
 import os, sys, gc
@@ -68,11 +68,13 @@ def test_missing_real_time_rights_are_reported_in_plain_words() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux")
-def test_killed_process_is_detected_as_dying_before_it_is_reaped() -> None:
+def test_suspended_and_killed_processes_are_told_from_running_ones_before_they_are_reaped() -> None:
     with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) as process:
-        assert not is_dying(process.pid)
+        assert life(process.pid) is Life.RUNS
+        process.send_signal(signal.SIGSTOP)
+        until(lambda: life(process.pid) is Life.SUSPENDED)
+        process.send_signal(signal.SIGCONT)
+        until(lambda: life(process.pid) is Life.RUNS)
         process.kill()
-        deadline = time.monotonic() + 5.0
-        while not is_dying(process.pid):
-            assert time.monotonic() < deadline
-    assert not is_dying(process.pid)  # no process has this process ID any more
+        until(lambda: life(process.pid) is Life.ENDED)
+    assert life(process.pid) is Life.ENDED  # no process has this process ID any more

@@ -21,6 +21,7 @@ from station.control.task import MotionTask
 from station.recording.read import read_case
 from station.recording.run_outcome import RunOutcome
 from station.service import control_host
+from station.service import processes as processes_module
 from station.service.control_host import ControlReport, ExitReport
 from station.service.fallback_stop import StopOutcome
 from station.service.processes import CONTROL_LABEL, LAB_LABEL, ProcessSupervisor
@@ -134,7 +135,9 @@ def test_hung_processes_are_killed_and_replaced_and_the_stages_are_stopped(
     processes = started.processes
     started.reports.clear()
     monkeypatch.setattr(control_host, "STOP_REPLY_TIMEOUT_S", NET)
-    monkeypatch.setattr(processes, "_tick_timeout", 3600.0)  # the watchdog must not kill the process first
+    # The watchdog must not kill the process first.
+    monkeypatch.setattr(processes, "_tick_timeout", 3600.0)
+    monkeypatch.setattr(processes_module, "SUSPENDED_AFTER_S", 3600.0)
     before = processes.pids()
     os.kill(before["control"], signal.SIGSTOP)
     outcome = processes.control.stop()
