@@ -167,7 +167,7 @@ class LiveRecording:
     def healthy(self) -> bool:
         """Whether the recorder runs and does not hang; waits up to `RECORDER_TIMEOUT_S` for its heartbeat."""
         child = self._recorder.child
-        if not child.alive or life(child.pid) is Life.SUSPENDED:
+        if not child.alive or life(child.pid) is not Life.RUNS:  # also a killed process that has not ended yet
             return False
         starting = not self._ring.numbers[RECORDER_HEARTBEAT] and self._clock.now() - self._started < START_TIMEOUT_S
         return starting or self.finishing or is_alive(self._ring, RECORDER_HEARTBEAT, self._clock, RECORDER_TIMEOUT_S)
