@@ -349,7 +349,7 @@ class ProcessSupervisor:
         if self._parent != os.getppid():
             self._parent = os.getppid()
             lost = "the program that started the station has ended"
-        for rank in (Rank.RECORDER, Rank.GATEWAY, Rank.CAMERA):
+        for rank in (Rank.RECORDER, Rank.GATEWAY):  # without a camera a run continues with a warning
             pid = int(self._ring.counters[WATCHERS + rank])
             if pid and pid != self._lost[rank] and (found := life(pid)) is not Life.RUNS:
                 self._lost[rank] = pid
