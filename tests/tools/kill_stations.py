@@ -22,7 +22,7 @@ WHOM = ("control", "station", "recorder")
 
 def until_moving(station: LoneStation, lab: WatchedLab | None = None) -> None:
     """Start a run and wait until the robot moves; with a watched lab also until its stages move."""
-    assert station.ask("start")["refused"] == ""
+    assert (answer := station.ask("start"))["refused"] == "", answer
 
     def moving() -> bool:
         status = station.ask("status")
