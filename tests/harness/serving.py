@@ -106,7 +106,7 @@ class Served:
         return seen
 
     def child(self, name: str) -> psutil.Process:
-        """Return the station's child process that the system lists as ctr-control, ctr-lab or ctr-recorder."""
+        """Return the station's child process that the system lists as `name`, for example ctr-control."""
         return until(lambda: children(self.process.pid, name), name)[0]  # a process has its name only after its start
 
     def control_process(self) -> psutil.Process:

@@ -20,5 +20,5 @@ def test_short_soak_test_detects_no_failure(tmp_path: Path, environment: dict[st
     assert done.returncode == 0
     assert summary["seconds"] >= 6.0
     assert sum(summary["actions"].values()) > 2
-    assert set(summary["memory_mb"]) == {"station", "control", "lab", "recorder"}
+    assert set(summary["memory_mb"]) == {"station", "control", "guard", "lab", "recorder"}
     assert list(tmp_path.iterdir()) == []  # the soak test deletes its recordings

@@ -35,7 +35,7 @@ from tests.harness.waiting import until
 PERIOD = 0.002
 POSE = np.array([0.0, np.pi / 2, -0.1])
 #: Names of the processes that a station starts, as the system lists them.
-CHILDREN = ("ctr-control", "ctr-lab", "ctr-recorder")
+CHILDREN = ("ctr-control", "ctr-guard", "ctr-lab", "ctr-recorder")
 
 
 class Feed:
@@ -95,7 +95,7 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
         recorder.close()
     (folder,) = recover(runs)
     left = read_case(folder / "run.mcap")
-    assert left.label is RunOutcome.INTERRUPTED
+    assert left.label is RunOutcome.INTERRUPTED, (left.label, left.cause)
     start = round(left.rows[0, 0] / PERIOD)
     assert start <= first, "rows at the beginning are missing"
     expected = np.array([feed.row(start + number) for number in range(len(left.rows))])
@@ -124,7 +124,7 @@ def kill_station(data: Path, victim: str, after: float) -> Left:
     assert len(recordings) == 1, [str(path) for path in data.rglob("*")]
     (folder,) = (path.parent for path in recordings)
     with open_case(folder / "run.mcap") as left:
-        assert left.label is RunOutcome.INTERRUPTED
+        assert left.label is RunOutcome.INTERRUPTED, (left.label, left.cause)
         rows = np.concatenate(list(left.blocks()))
     assert (np.diff(rows[:, 0]) > 0.0).all()
     with (folder / "run.mcap").open("rb") as file:

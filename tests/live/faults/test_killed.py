@@ -61,7 +61,7 @@ def test_control_process_stops_the_stages_of_a_killed_station_and_the_next_start
     with WatchedLab(CLOCK) as lab:
         with lone_station(tmp_path, lab) as station:
             used = shared_memory(station.process.pid)
-            children = [station.child(name) for name in ("control", "recorder")]
+            children = [station.child(name) for name in ("control", "guard", "recorder")]
             assert kill(station, lab, "station", 0.4) > 0.0
             assert psutil.wait_procs(children, timeout=NET)[1] == []
             assert used
@@ -73,7 +73,7 @@ def test_control_process_stops_the_stages_of_a_killed_station_and_the_next_start
             (first,) = runs(tmp_path)
             until_moving(station, lab)
             # Kill every process at once, so that no process can finish the recording.
-            everybody = [station.child(name) for name in ("control", "recorder")]
+            everybody = [station.child(name) for name in ("control", "guard", "recorder")]
             for pid in (station.process.pid, *(process.pid for process in everybody)):
                 os.kill(pid, signal.SIGKILL)
             assert psutil.wait_procs(everybody, timeout=NET)[1] == []
