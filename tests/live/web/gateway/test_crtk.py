@@ -2,9 +2,10 @@
 
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -100,6 +101,32 @@ def start_targets(served: Served, headers: dict[str, str] | None = None) -> None
     answer = served.rest.post("/api/gateway/target", json=WIDE, headers=headers)
     assert answer.status_code == 202, answer.text
     served.wait_for(lambda status: status["phase"] == "moving")
+
+
+@contextmanager
+def staying_operator(served: Served) -> Iterator[None]:
+    """Renew the lease of the test's client, as a page does, however long the block takes."""
+    over = threading.Event()
+
+    def renew() -> None:
+        while not over.wait(1.0):
+            served.status()
+
+    renewal = threading.Thread(target=renew, name="operator")
+    renewal.start()
+    try:
+        yield
+    finally:
+        over.set()
+        renewal.join()
+
+
+@pytest.fixture
+def targets(served: Served, leader: Peer) -> Iterator[None]:
+    """A run for external targets, whose operator is a person on the page."""
+    start_targets(served)
+    with staying_operator(served):
+        yield
 
 
 def setpoint(who: Peer) -> np.ndarray:
@@ -265,15 +292,14 @@ def test_move_cp_is_busy_until_the_tip_has_arrived_and_needs_a_run_for_targets(s
     state(leader, "PAUSED")
 
 
+@pytest.mark.usefixtures("targets")
 def test_a_second_client_is_refused_but_its_hold_stops_the_robot(served: Served, leader: Peer, other: Peer) -> None:
     """The operator is a person on the page, so that the first client that sends a target controls the tip."""
-    start_targets(served)
     start = setpoint(leader)
     goal = start + 0.001 * UP
     command(leader, "enable")
 
     def followed() -> bool:
-        served.status()
         leader.send("servo_cp", pose(goal))
         return bool(setpoint(leader)[2] > start[2] + 5e-4)
 
@@ -361,8 +387,8 @@ time.sleep(600)
 """
 
 
+@pytest.mark.usefixtures("targets")
 def test_the_motion_of_a_killed_client_ends(served: Served, leader: Peer, port: int) -> None:
-    start_targets(served)
     with subprocess.Popen((sys.executable, "-c", KILLED, str(port)), stdout=subprocess.PIPE, cwd=ROOT) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == b"sent\n"
