@@ -80,6 +80,24 @@ def wait_until_current(page: Page) -> None:
     page.locator("body:not(.stale)").wait_for()
 
 
+#: Check the data's age and press within one task of the page.
+ESCAPE = """async () => {
+  const { dataAge, STALE_AFTER_S } = await import("/static/page/station.js");
+  if (dataAge() > STALE_AFTER_S) return false;
+  const press = new KeyboardEvent("keydown", { key: "Escape", bubbles: true, cancelable: true });
+  document.activeElement.dispatchEvent(press);
+  return true;
+}"""
+
+
+def press_escape(page: Page) -> None:
+    """Press Escape while the page has current data, without which Escape is STOP.
+
+    On a busy computer the data may become old between a wait for current data and a press of the keyboard.
+    """
+    page.wait_for_function(ESCAPE, polling=50)
+
+
 def press_until(page: Page, press: Callable[[], object], happened: Callable[[], bool]) -> None:
     """Press until the effect has happened.
 

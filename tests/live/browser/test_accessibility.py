@@ -11,7 +11,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from tests.harness.chromium import PATIENCE, open_tab, press_until, press_until_asked, wait_until_loaded
+from tests.harness.chromium import PATIENCE, open_tab, press_escape, press_until, press_until_asked, wait_until_loaded
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -104,7 +104,7 @@ def test_axe_finds_no_violation_in_welcome_tour_palette_help_queue_and_run(first
     page.keyboard.press("Control+k")
     page.get_by_role("option", name="Case fig8").first.wait_for()
     assert violations(page) == []
-    page.keyboard.press("Escape")
+    press_escape(page)
     page.get_by_role("button", name="help").click()
     assert violations(page) == []
     page.get_by_role("button", name="Close", exact=True).click()
@@ -140,7 +140,7 @@ def test_axe_finds_no_violation_in_a_dialog_or_a_latched_state(station: Served, 
         open_tab(page, name)
         press_until_asked(page, page.get_by_role("button", name=button).last.click)
         assert violations(page) == [], button
-        page.keyboard.press("Escape")
+        press_escape(page)
     station.post("/api/stop")
     page.locator("#latched", has_text="What does this mean?").wait_for()
     assert violations(page) == []

@@ -5,7 +5,15 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import PATIENCE, SIZE, VISITED, press_until_sent, wait_until_current, wait_until_loaded
+from tests.harness.chromium import (
+    PATIENCE,
+    SIZE,
+    VISITED,
+    press_escape,
+    press_until,
+    press_until_sent,
+    wait_until_loaded,
+)
 from tests.harness.serving import Served
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
@@ -40,7 +48,7 @@ def choose(page: Page, letters: str, name: str) -> None:
     palette(page)
     page.keyboard.type(letters)
     page.get_by_role("option", name=name).wait_for()
-    page.keyboard.press("Enter")
+    press_until(page, lambda: page.keyboard.press("Enter"), page.locator("#palette").is_hidden)
 
 
 @pytest.mark.parametrize("opened", [help_dialog, palette])
@@ -48,17 +56,16 @@ def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
     page: Page, station: Served, opened: Callable[[Page], None]
 ) -> None:
     opened(page)
-    for key in ("Shift+Space", "Escape"):
+    for press in (lambda: page.keyboard.press("Shift+Space"), lambda: press_escape(page)):
         station.ready()
         station.post("/api/start", HOLD)
         page.locator("#state", has_text="RUNNING").wait_for()
-        page.keyboard.press(key)
+        press()
         page.locator("#state", has_text="STOPPED").wait_for()
         expect(page.locator("dialog[open]")).to_be_visible()
     station.ready()
     page.locator("#state", has_text="READY").wait_for()
-    wait_until_current(page)
-    page.keyboard.press("Escape")  # nothing moves
+    press_escape(page)  # nothing moves
     page.locator("dialog[open]").wait_for(state="hidden")
     assert station.status()["state"] == "READY"
 
@@ -66,8 +73,7 @@ def test_stop_key_and_escape_stop_a_motion_while_a_dialog_is_open(
 def test_help_mark_at_the_error_explains_the_true_and_the_measured_tip(page: Page, station: Served) -> None:
     page.get_by_role("button", name="explain true and tracker").click()
     page.get_by_role("dialog", name="Help").get_by_text("only a virtual lab knows it").wait_for()
-    wait_until_current(page)
-    page.keyboard.press("Escape")
+    press_escape(page)
     page.get_by_role("dialog", name="Help").wait_for(state="hidden")
     assert station.status()["state"] == "READY"
 
@@ -99,8 +105,7 @@ def test_palette_shows_why_an_action_is_not_possible_now_and_does_not_carry_it_o
     page.get_by_role("option", name="is operator: take over first").first.wait_for()
     station.rest.delete("/api/operator")
     page.get_by_role("option", name="not while READY").first.wait_for()
-    wait_until_current(page)
-    page.keyboard.press("Escape")
+    press_escape(page)
     page.locator("dialog[open]").wait_for(state="hidden")
 
 
@@ -159,8 +164,7 @@ def test_tour_is_left_by_escape_at_rest_and_escape_stops_a_motion_first(first_vi
         expect(page.get_by_text("2 of 3")).to_be_visible()
         station.ready()
         page.locator("#state", has_text="READY").wait_for()
-    wait_until_current(page)
-    page.keyboard.press("Escape")
+    press_escape(page)
     page.locator("#welcome").wait_for(state="detached")
     expect(page.locator(".pointed-at")).to_have_count(0)
     assert station.status()["state"] == "READY"
