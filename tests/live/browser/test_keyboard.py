@@ -4,22 +4,21 @@ from playwright.sync_api import Page
 
 from tests.harness.chromium import press_until_sent
 from tests.harness.serving import Served
-
-#: Largest number of Tab presses to reach a control.
-KEYS = 80
+from tests.harness.waiting import until
 
 
 def tab_to(page: Page, text: str) -> None:
-    """Press Tab until the focused element's name contains `text`."""
+    """Press Tab until the focused element's name contains `text`; Tab passes over a button while it is disabled."""
     name = """() => {
       const here = document.activeElement;
       return here === document.body ? '' : here.getAttribute('aria-label') ?? here.innerText;
     }"""
-    for _ in range(KEYS):
+
+    def reached() -> bool:
         page.keyboard.press("Tab")
-        if text in page.evaluate(name):
-            return
-    raise AssertionError(f"'{text}' is not reached with Tab")
+        return text in page.evaluate(name)
+
+    until(reached, f"no element '{text}' with Tab")
 
 
 def test_run_is_chosen_started_stopped_and_reset_by_keyboard(page: Page, station: Served) -> None:
@@ -29,18 +28,16 @@ def test_run_is_chosen_started_stopped_and_reset_by_keyboard(page: Page, station
     tab_to(page, "duration")
     page.keyboard.press("Control+A")
     page.keyboard.type("45")
-    page.locator("button:enabled", has_text="Start motion").wait_for()
 
-    def start() -> None:
-        tab_to(page, "Start motion")
+    def press(text: str) -> None:
+        tab_to(page, text)
         page.keyboard.press("Enter")
 
-    press_until_sent(page, start)
+    press_until_sent(page, lambda: press("Start motion"))
     status = station.wait_for(lambda s: s["state"] == "RUNNING")
     assert status["run"]["duration"] == 45.0
     page.locator("#state", has_text="RUNNING").wait_for()
     page.keyboard.press("Shift+Space")
     page.locator("#state", has_text="STOPPED").wait_for()
-    tab_to(page, "Reset")
-    page.keyboard.press("Enter")
+    press_until_sent(page, lambda: press("Reset"), "/api/reset")
     page.locator("#state", has_text="READY").wait_for()
