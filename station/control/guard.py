@@ -15,6 +15,7 @@ import sys
 import threading
 from enum import IntEnum
 from multiprocessing.connection import Connection
+from typing import Any
 
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
@@ -73,6 +74,7 @@ class Watch:
 
     def finish(self) -> None:
         """Wait until the stages are stopped, or until another process is there to stop them."""
+        self.look()
         while self.is_first and self._left:
             self._clock.sleep(LOOK_INTERVAL_S)
             self.look()
@@ -84,8 +86,8 @@ class Watch:
 
     @property
     def _left(self) -> bool:
-        """Whether there are stages to stop, and attempts left."""
-        return bool(self._ring.counters[DRIVER]) and self._attempts < ATTEMPTS
+        """Whether there are stages that this process can stop, and attempts left."""
+        return self._stop is not None and bool(self._ring.counters[DRIVER]) and self._attempts < ATTEMPTS
 
     def _is_lost(self, driver: int) -> bool:
         if life(driver) is not Life.RUNS:
@@ -104,14 +106,17 @@ class Watch:
         self._attempts += 1
         with contextlib.suppress(OSError):
             os.kill(driver, signal.SIGKILL)  # a suspended process keeps the ports of the stages
+        stopped = False
         try:
-            done = stop(self._clock)
-        except BaseException as error:  # an installed driver may raise anything
-            _tell(f"ctr-station: {error}")
-            return
-        if int(self._ring.counters[DRIVER]) == driver:
+            done: Any = stop(self._clock)  # an installed driver may return or raise anything
+            stopped, text = isinstance(done, str) and done.strip() != "", f"the other processes are gone; {done}"
+        except BaseException as error:
+            text = f"the stages could not be stopped ({type(error).__name__})"
+            with contextlib.suppress(Exception):
+                text = str(error) or text
+        if stopped and int(self._ring.counters[DRIVER]) == driver:
             self._ring.counters[DRIVER] = 0
-        _tell(f"ctr-station: the other processes are gone; {done}")
+        _tell(f"ctr-station: {text}")
 
 
 def _tell(text: str) -> None:
