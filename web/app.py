@@ -49,6 +49,7 @@ from web.api.rig import bench_routes
 from web.api.runs import MCAP_MEDIA_TYPE, runs_routes
 from web.api.scene import scene_routes
 from web.api.setpoints import setpoint_routes
+from web.api.stop import Stops, stop_routes
 from web.gateway.crtk_commands import CrtkCommands
 from web.gateway.host import Gateway, TargetStreams, gateway_routes
 from web.gateway.options import GatewayOptions
@@ -280,8 +281,10 @@ def build_app(
     app.router.routes.insert(0, Route("/api/openapi.json", description))  # instead of FastAPI's own route
     of = commands(Lease(supervisor.bench.clock.now))
     routes, app.state.scene = viser_routes(view.scene_server, of.lease, audit)
+    stops = Stops(supervisor, of.lease, stopping)
+    app.include_router(stop_routes(stops, of, audit))
     problem = None if gateway is None else lambda: gateway.problem
-    app.include_router(control_routes(supervisor, of, stopping, files, view.side_load, problem))
+    app.include_router(control_routes(supervisor, of, stops, files, view.side_load, problem))
     app.include_router(operator_routes(of))
     app.include_router(waypoint_routes(supervisor, runs, of, files))
     app.include_router(bench_routes(supervisor, of, audit, files))

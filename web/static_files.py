@@ -1,5 +1,7 @@
-"""Files of the page: its document with a preload of every module, and files that a browser checks before each use."""
+"""Files of the page: its document, which contains STOP and preloads every module, and files that a browser checks."""
 
+import base64
+import hashlib
 from os import PathLike, stat_result
 from pathlib import Path
 
@@ -10,22 +12,32 @@ from starlette.types import Scope
 
 STATIC = Path(__file__).parent / "static"
 #: Content-Security-Policy of the page, which may load only files of the station. The scene has a separate page.
-CONTENT_POLICY = "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
+CONTENT_POLICY = (
+    "default-src 'self'; script-src 'self' '{stop}'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline';"
+    " frame-ancestors 'self'"
+)
+#: Script that is part of the document, so that STOP works without any other file.
+STOP_SCRIPT = "page/stop.js"
 #: A browser may store a file, but must check whether it has changed. Without this header a browser uses old modules for
 #: hours after an update of the station.
 CHECK_BEFORE_USE = {"cache-control": "no-cache"}
 
 
 def page() -> HTMLResponse:
-    """Return the page's document with a preload of every module.
+    """Return the page's document with the script of STOP and a preload of every module.
 
     Modules import each other, so a browser would find the last ones only after several round trips. The document is
     read at each request, so that a changed module needs no restart of the station.
     """
     modules = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.rglob("*.js"))
+    modules.remove(STOP_SCRIPT)
     preloads = "".join(f'<link rel="modulepreload" href="/static/{module}">\n' for module in modules)
+    stop = (STATIC / STOP_SCRIPT).read_text(encoding="utf-8")
     document = (STATIC / "index.html").read_text(encoding="utf-8").replace("</head>", f"{preloads}</head>", 1)
-    return HTMLResponse(document, headers={**CHECK_BEFORE_USE, "content-security-policy": CONTENT_POLICY})
+    document = document.replace(f'<script src="/static/{STOP_SCRIPT}"></script>', f"<script>{stop}</script>", 1)
+    digest = base64.b64encode(hashlib.sha256(stop.encode()).digest()).decode()
+    policy = CONTENT_POLICY.format(stop=f"sha256-{digest}")
+    return HTMLResponse(document, headers={**CHECK_BEFORE_USE, "content-security-policy": policy})
 
 
 class CheckedFiles(StaticFiles):

@@ -4,11 +4,11 @@ A camera encodes pictures only while a client requests them.
 """
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request, WebSocket
 from fastapi.responses import Response, StreamingResponse
 from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
@@ -19,7 +19,9 @@ from station.config.strict import Name, Strict
 from station.service.camera_calibration import BoardState, CameraCalibration
 from station.service.camera_overlay import CameraOverlay, overlay
 from station.service.supervisor import Supervisor
+from web.access.connections import TRY_AGAIN_LATER
 from web.api.commands import Commands
+from web.api.control import listening_to
 from web.api.schemas import ErrorOut
 
 #: Media type of a stream of pictures, which a browser shows in an image element.
@@ -156,7 +158,7 @@ def camera_routes(supervisor: Supervisor, calibration: CameraCalibration, of: Co
             nonlocal streams
             streams += 1
             try:
-                async for picture in _pictures(host, request):
+                async for picture in _pictures(host, request.is_disconnected):
                     yield _part(picture)
             finally:
                 streams -= 1
@@ -164,7 +166,29 @@ def camera_routes(supervisor: Supervisor, calibration: CameraCalibration, of: Co
         media_type = f"{STREAM_MEDIA_TYPE}; boundary={BOUNDARY}"
         return StreamingResponse(parts(), media_type=media_type, headers={"cache-control": "no-store"})
 
-    async def _pictures(host: CameraHost, request: Request) -> AsyncIterator[CameraPicture]:
+    @router.websocket("/{name}/pictures")
+    async def pictures(name: str, socket: WebSocket) -> None:
+        """Send JPEG pictures as binary messages; unlike a stream, this takes none of a browser's few connections."""
+        nonlocal streams
+        host = cameras.find(name)
+        async with listening_to(socket) as listening:
+
+            async def ended() -> bool:
+                return listening.done()
+
+            if host is None or streams >= MAX_STREAMS:
+                await socket.close(
+                    TRY_AGAIN_LATER, f"no camera '{name}', or {MAX_STREAMS} streams of pictures are open"
+                )
+                return
+            streams += 1
+            try:
+                async for picture in _pictures(host, ended):
+                    await socket.send_bytes(picture.jpeg)
+            finally:
+                streams -= 1
+
+    async def _pictures(host: CameraHost, ended: Callable[[], Awaitable[bool]]) -> AsyncIterator[CameraPicture]:
         """Yield new pictures until the client or the station ends; a slow client receives only the newest ones."""
         last, checks = host.picture, 0
         while not cameras.closed:
@@ -173,7 +197,7 @@ def camera_routes(supervisor: Supervisor, calibration: CameraCalibration, of: Co
             if picture is not None and picture is not last:
                 last = picture
                 yield picture
-            if checks % CHECK_EVERY == 0 and await request.is_disconnected():
+            if checks % CHECK_EVERY == 0 and await ended():
                 return
             await asyncio.sleep(POLL_INTERVAL_S)
 

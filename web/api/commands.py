@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import asynccontextmanager
 from functools import partial
+from inspect import cleandoc
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 from fastapi import APIRouter, Depends, Request
@@ -13,6 +14,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from core.errors import CtrError
+from station.control.commands import Command
 from station.control.states import RefusedError
 from station.service.permits import Permit
 from station.service.supervisor import Supervisor
@@ -69,6 +71,12 @@ def permit_of(connection: HTTPConnection) -> Permit:
 
 #: Type of the parameter by which the routes that move the robot, and the route of the reset, receive their permit.
 Permitted = Annotated[Permit, Depends(permit_of)]
+
+
+def described(command: type[Command]) -> dict[str, Any]:
+    """Return summary, description and tag of a command's route."""
+    text = cleandoc(command.__doc__ or "")
+    return {"summary": text.split("\n")[0].rstrip("."), "description": text, "tags": ["commands"]}
 
 
 #: Interval at which a pending command renews the lease of its sender [s].

@@ -3,10 +3,8 @@
 import asyncio
 import time
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from functools import partial
-from inspect import Parameter, Signature, cleandoc
+from inspect import Parameter, Signature
 from typing import Annotated, Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from station.service.runs import RunRequest
 from station.service.solve import model_answer
 from station.service.supervisor import Outcome, Supervisor
 from web.access.identity import sender_of
-from web.api.commands import Commands, Permitted, stopper
+from web.api.commands import Commands, Permitted, described, stopper
 from web.api.experiments import experiments_out, picture
 from web.api.files import FileThreads
 from web.api.schemas import (
@@ -42,10 +40,10 @@ from web.api.schemas import (
     SolveOut,
     StartOut,
     StatusOut,
-    StopOut,
     TipMotionIn,
 )
 from web.api.status import status_out
+from web.api.stop import Stops
 from web.scene.history import TargetVisibility
 
 #: Shortest time over which the timing statistics are computed [s].
@@ -92,7 +90,7 @@ SCALAR_GROUPS = tuple(field.name for field in FIELDS if field.streamed and field
 def control_routes(
     supervisor: Supervisor,
     of: Commands,
-    stopping: ThreadPoolExecutor,
+    stops: Stops,
     files: FileThreads,
     side_load: Callable[[], SideLoad | None],
     gateway_problem: Callable[[], str] | None = None,
@@ -102,36 +100,19 @@ def control_routes(
     Args:
         supervisor: the station.
         of: dependencies that check the operator's lease.
-        stopping: thread pool reserved for STOP.
+        stops: executes STOP.
         files: threads that read the files of experiments.
         side_load: returns the load that acts on the shaft instead of the tip, or None.
         gateway_problem: returns why the gateway has ended (empty: it runs); None: the station has no gateway.
     """
     router = APIRouter(responses={422: REFUSED_RESPONSES[422]}, dependencies=[Depends(of.renew_lease)])
-    stop_client = stop_cause = ""  # who sent the newest STOP, and the cause that the station reports for it
 
     @router.get("/api/status", summary="Status of the station")
     def status(request: Request) -> StatusOut:
         """Return in one answer state, cause, operator, run, devices, timing, joints, tips and force."""
         problem = None if gateway_problem is None else gateway_problem()
         who = sender_of(request)
-        own = stop_cause if who.client == stop_client else ""
-        return status_out(supervisor, of, who, side_load(), problem, own)
-
-    @router.post(
-        Stop.path(),
-        responses={202: {"model": StopOut, "description": "accepted with a note; see `confirmed` and `note`"}},
-        **described(Stop),
-    )
-    async def stop(request: Request, response: Response) -> StopOut:
-        nonlocal stop_client, stop_cause
-        who = sender_of(request)
-        stop_client, stop_cause = who.client, f"stopped by {stopper(of.lease, who)}"
-        send = partial(supervisor.send, Stop(cause=stop_cause))
-        outcome = await asyncio.get_running_loop().run_in_executor(stopping, send)
-        if outcome.note:
-            response.status_code = 202
-        return StopOut(state=supervisor.status().state.name, note=outcome.note, confirmed=outcome.confirmed)
+        return status_out(supervisor, of, who, side_load(), problem, stops.own_cause(who))
 
     @router.post(Reset.path(), **described(Reset), **of.command)
     async def reset(request: Request, permit: Permitted) -> DoneOut:
@@ -222,12 +203,6 @@ def _picture(name: str, case: str | None, robot: str) -> str | None:
     cases = offered_experiment(name, robot, check_motions=False).cases
     drawn = next((one for one in cases if case in (None, one.name)), None)
     return None if drawn is None else picture(drawn)
-
-
-def described(command: type[Command]) -> dict[str, Any]:
-    """Return summary, description and tag of a command's route."""
-    text = cleandoc(command.__doc__ or "")
-    return {"summary": text.split("\n")[0].rstrip("."), "description": text, "tags": ["commands"]}
 
 
 def add_command(router: APIRouter, supervisor: Supervisor, of: Commands, command: type[Command]) -> None:

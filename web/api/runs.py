@@ -46,6 +46,8 @@ NOT_FOUND: dict[int | str, dict[str, Any]] = {404: {"model": ErrorOut, "descript
 MCAP_MEDIA_TYPE = "application/octet-stream"
 #: Time to wait for the end of a killed command [s].
 KILL_TIMEOUT_S = 2.0
+#: Largest number of requests that write a file for a client, or wait to write one.
+MAX_EXPORTS = 3
 #: Content-Security-Policy of a report or replay page. The page may load nothing, because the file is complete.
 STANDALONE_POLICY = (
     "default-src 'none'; img-src data: blob:; media-src blob:; font-src data:; style-src 'unsafe-inline';"
@@ -99,6 +101,37 @@ class DeletedOut(Strict):
     deleted: str
 
 
+class Exports:
+    """Limits the files that are written for clients: one at a time, and few requests may wait for it.
+
+    Each waiting request occupies one of the six connections that a browser opens to a station.
+    """
+
+    def __init__(self, processor: asyncio.Lock, most: int = MAX_EXPORTS) -> None:
+        """`processor` is locked while a file is written, because this uses a whole processor for seconds."""
+        self._processor, self._most, self._requests = processor, most, 0
+
+    async def __aenter__(self) -> None:
+        """Wait until this file may be written.
+
+        Raises:
+            HTTPException: status 503: too many requests wait already.
+        """
+        if self._requests >= self._most:
+            raise HTTPException(503, f"{self._most} files are being written; try again when one of them is complete")
+        self._requests += 1
+        try:
+            await self._processor.acquire()
+        except BaseException:
+            self._requests -= 1
+            raise
+
+    async def __aexit__(self, *_: object) -> None:
+        """Let the next file be written."""
+        self._requests -= 1
+        self._processor.release()
+
+
 def runs_routes(history: RunHistory, of: Commands, files: FileThreads) -> APIRouter:
     """Return the REST routes under /api/runs. All accesses to the folder of runs use `files`."""
     router = APIRouter(
@@ -108,6 +141,7 @@ def runs_routes(history: RunHistory, of: Commands, files: FileThreads) -> APIRou
         responses={422: REFUSED_RESPONSES[422], **FILES_BUSY},
     )
     found, rendering = partial(_found, files), asyncio.Lock()
+    exports = Exports(rendering)
 
     @router.get("", summary="Runs, newest first")
     async def runs(
@@ -293,7 +327,7 @@ def runs_routes(history: RunHistory, of: Commands, files: FileThreads) -> APIRou
         remove = partial(shutil.rmtree, out, ignore_errors=True)
 
         async def write() -> None:
-            async with rendering:
+            async with exports:
                 await _command(*command, str(out / name))
 
         try:

@@ -52,6 +52,13 @@ class StopOut(DoneOut):
     """true: every axis is at rest, and `note` is information; false: use the emergency stop if anything moves"""
 
 
+class StopCheckOut(Strict):
+    """Whether a STOP of the client would be accepted; otherwise its request is refused."""
+
+    accepted: bool
+    """always true"""
+
+
 class RunOut(Strict):
     """The current run, or the last one."""
 

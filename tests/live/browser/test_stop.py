@@ -101,21 +101,6 @@ def test_touch_on_the_stop_button_works_under_a_dialog(station: Served, browser:
         context.close()
 
 
-def test_stop_is_repeated_until_acknowledged_and_the_page_reports_it(station: Served, page: Page) -> None:
-    station.post("/api/start", HOLD)
-    page.locator("#state", has_text="RUNNING").wait_for()
-    page.context.set_offline(True)
-    try:
-        page.locator("#stop").click()
-        page.locator("#alarm", has_text=re.compile(r"STOP is not acknowledged: sent \d+ times")).wait_for()
-        assert station.status()["state"] == "RUNNING"
-    finally:
-        page.context.set_offline(False)
-    station.wait_for(lambda s: s["state"] == "STOPPED")
-    page.locator(".note.good", has_text="STOP was accepted: acknowledged after").wait_for()
-    expect(page.locator("#alarm")).to_be_hidden()
-
-
 @pytest.mark.parametrize("press", ["click", "Shift+Space", "Escape"])
 def test_stop_works_while_the_page_has_no_data(station: Served, page: Page, press: str) -> None:
     station.post("/api/start", HOLD)

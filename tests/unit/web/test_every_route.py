@@ -29,8 +29,8 @@ FOREIGN = [
 ]
 #: Changing requests that need no operator: STOP, the lease itself, notes of a run, and requests that only query.
 WITHOUT_LEASE = {
-    "/api/stop", "/api/operator", "/api/model/solve", "/api/calibration/exchange", "/api/waypoints/check",
-    "/api/runs/x/notes",
+    "/api/stop", "/api/stop/check", "/api/operator", "/api/model/solve", "/api/calibration/exchange",
+    "/api/waypoints/check", "/api/runs/x/notes",
 }  # fmt: skip
 
 

@@ -25,7 +25,14 @@ def test_page_reads_only_schemas_and_paths_of_the_api(app: TestClient) -> None:
     assert len(schemas) >= 2
     # Schema and path of stations that follow targets, a WebSocket, and the description itself are not described here.
     assert schemas - {"StreamAgreement"} <= api["components"]["schemas"].keys()
-    known = [*api["paths"], "/api/setpoints", "/api/gateway/target", "/api/openapi.json", "/api/docs"]
+    known = [
+        *api["paths"],
+        "/api/setpoints",
+        "/api/stop/socket",
+        "/api/gateway/target",
+        "/api/openapi.json",
+        "/api/docs",
+    ]
     paths = set(re.findall(r"[\"`](/api/[^\"`?]*)", text))
     assert len(paths) > 15
     patterns = {path: re.compile(re.sub(r"\$\{[^}]*\}", "[^/]+", path)) for path in paths}

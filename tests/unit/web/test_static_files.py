@@ -1,12 +1,15 @@
 """The page's files: compressed, checked by the browser before each use, and found without round trips."""
 
+import base64
+import hashlib
 import re
 
 from starlette.testclient import TestClient
 
-from web.static_files import STATIC
+from web.static_files import STATIC, STOP_SCRIPT
 
 MODULES = sorted(path.relative_to(STATIC).as_posix() for path in STATIC.rglob("*.js"))
+MODULES.remove(STOP_SCRIPT)
 
 
 def test_the_page_preloads_every_module_once_and_no_other_file(app: TestClient) -> None:
@@ -17,11 +20,18 @@ def test_the_page_preloads_every_module_once_and_no_other_file(app: TestClient) 
     assert document.index("modulepreload") < document.index("</head>")
 
 
-def test_the_page_may_load_only_files_of_the_station(app: TestClient) -> None:
-    policy = app.get("/").headers["content-security-policy"]
+def test_stop_is_in_the_document_before_every_other_file_and_only_files_of_the_station_are_allowed(
+    app: TestClient,
+) -> None:
+    answer = app.get("/")
+    scripts = re.findall(r"<script>(.*?)</script>", answer.text, re.DOTALL)
 
-    assert policy.startswith("default-src 'self';")
-    assert "script-src" not in policy
+    assert scripts == [(STATIC / STOP_SCRIPT).read_text(encoding="utf-8")]
+    assert answer.text.index("<script>") < answer.text.index("<link")
+    digest = base64.b64encode(hashlib.sha256(scripts[0].encode()).digest()).decode()
+    policy = answer.headers["content-security-policy"]
+    assert policy.startswith(f"default-src 'self'; script-src 'self' 'sha256-{digest}';")
+    assert "http" not in policy
 
 
 def test_an_unchanged_module_is_answered_without_its_content(app: TestClient) -> None:

@@ -1,5 +1,5 @@
 // Cameras: live pictures with the model drawn over them, and snapshots. A picture is requested only while it is visible.
-import { $, button, enable, make, note, onStatus, request, sendCommand, setText } from "../page/station.js";
+import { $, button, enable, make, note, request, sendCommand, setText } from "../page/station.js";
 import { row } from "../page/form.js";
 import { isOpen, onTab } from "../page/tabs.js";
 import { svg } from "../page/chart.js";
@@ -23,7 +23,7 @@ function Camera({ name, width, height, calibrated }) {
   const figure = make("figure", { className: "camera", style: `--ratio: ${width / height}` }, picture,
     make("figcaption", {}, make("b", {}, name), state, make("label", { title: calibrated ? "" : "the lens or the pose of this camera is not known" }, shown, "model over the picture"),
       button("Snapshot", () => saveSnapshot(name)), enlarge, problem, legend));
-  let live = false, retry = 0, tries = 0, calibrating = false;
+  let live = false, retry = 0, socket = null, calibrating = false;
 
   /** Start or end the stream: it runs only while the picture is visible. */
   const update = () => {
@@ -32,14 +32,22 @@ function Camera({ name, width, height, calibrated }) {
     if (visible === live) return;
     live = visible;
     clearTimeout(retry);
-    if (live) connect(); else image.removeAttribute("src");
+    if (live) { connect(); return; }
+    socket.close();
+    show("");
   };
-  const connect = () => { if (live) image.src = `/api/cameras/${id}/stream?try=${(tries += 1)}`; };
-  image.addEventListener("error", () => {
-    if (!live) return;
-    clearTimeout(retry);
-    retry = setTimeout(connect, RETRY_MS);
-  });
+  // A stream over HTTP would take one of the six connections that a browser opens for all windows of this page.
+  const connect = () => {
+    const opened = socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/cameras/${id}/pictures`);
+    opened.binaryType = "blob";
+    opened.addEventListener("message", ({ data }) => { if (opened === socket && live) show(URL.createObjectURL(data)); });
+    opened.addEventListener("close", () => { if (opened === socket && live) retry = setTimeout(connect, RETRY_MS); });
+  };
+  const show = (address) => {
+    const before = image.src;
+    if (address === "") image.removeAttribute("src"); else image.src = address;
+    if (before !== "") URL.revokeObjectURL(before);
+  };
   let pending = false;
   setInterval(async () => {
     if (!live || !shown.checked || pending || calibrating) return;
@@ -53,7 +61,7 @@ function Camera({ name, width, height, calibrated }) {
   shown.addEventListener("change", () => { if (!shown.checked) drawing.replaceChildren(); legend.hidden = !shown.checked; });
   legend.hidden = !calibrated;
   return {
-    figure, update, name, connect,
+    figure, update, name,
     corners: (pixels) => drawing.replaceChildren(...pixels.map(([x, y]) => svg("circle", { class: "corner", cx: x, cy: y, r: MARK_PX }))),
     pauseOverlay: (paused) => { calibrating = paused; if (!paused) drawing.replaceChildren(); },
     show: (now) => {
@@ -92,8 +100,6 @@ function setLarge(figure) {
   large.replaceChildren(...(figure === null ? [] : [figure]));
   large.hidden = figure === null;
   $("cameras").replaceChildren(...cameras.map((one) => one.figure).filter((one) => one !== figure), boardBox);
-  // Chromium ends the stream of an image that is moved within the page.
-  for (const camera of cameras) camera.connect();
   if (figure !== null && cameras.length === 1) $("cameras").append(make("p", { className: "dim" }, "The picture is next to these controls. Press Small to move it back."));
   updateAll();
 }
@@ -168,12 +174,6 @@ if (cameras.length === 0) {
   setLarge(null);
   onTab("cameras", updateAll);
   document.addEventListener("visibilitychange", updateAll);
-  let answering = true;
-  onStatus((status) => { // after the station was restarted the stream has ended, which a browser does not report
-    const now = status !== null;
-    if (now && !answering) cameras.forEach((camera) => camera.connect());
-    answering = now;
-  });
   const poll = async () => {
     if (!isOpen("cameras") && large.hidden) return;
     const states = await request("GET", "/api/cameras", undefined, TIMEOUT_MS).catch(() => []);

@@ -1,5 +1,6 @@
 // What happens is visible in another tab, too: title and icon of the page; on request also sounds and notifications.
 import { $, clock, isSilent, make, onStatus } from "../page/station.js";
+import { local } from "../page/storage.js";
 
 const COLOURS = { READY: "#007a59", RUNNING: "#0072b2", HOMING: "#0072b2", CONNECTING: "#0072b2", HOLD: "#c77d00", STOPPED: "#c77d00", FAULT: "#c62828" };
 const ENDS = { READY: "The run is complete", HOLD: "HOLD", STOPPED: "STOPPED", FAULT: "FAULT" };
@@ -26,7 +27,7 @@ function title(status) {
 
 // ---- sounds and notifications, by choice of the user
 
-const chosen = (what) => localStorage.getItem(what) === "on";
+const chosen = (what) => local.get(what) === "on";
 let audio = null;
 
 function beep(state) {
@@ -53,7 +54,7 @@ export function switches() {
     const input = make("input", { type: "checkbox", checked: chosen(what) });
     input.addEventListener("change", async () => {
       if (input.checked) input.checked = await prepare();
-      localStorage.setItem(what, input.checked ? "on" : "off");
+      local.set(what, input.checked ? "on" : "off");
     });
     return make("label", {}, input, text);
   };

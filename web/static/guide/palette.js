@@ -1,7 +1,6 @@
 // Command palette (Ctrl+K): every action of the page by name, with the reason if it is not possible now.
 import { $, blockReason, button, latest, make, onStatus, replaceChanged, request, sendCommand } from "../page/station.js";
 import { changeOperator, home } from "../page/header.js";
-import { stop } from "../page/stop.js";
 import { openTab } from "../page/tabs.js";
 import { toggleHelp } from "./help.js";
 import { tour } from "./welcome.js";
@@ -14,7 +13,7 @@ const module = (path) => import(`../${path}.js`); // a tab that cannot be loaded
 
 /** Actions of the page: {title, words: further words that find it, run, against(status): why it is not possible now; absent: it is always possible}. */
 const ACTIONS = [
-  { title: "STOP every axis", run: stop },
+  { title: "STOP every axis", run: () => window.STOP.press() },
   { title: "Take control", against: onlyOperator(false, "this page is operator"), run: changeOperator },
   { title: "Release control", against: onlyOperator(true, "this page is not operator"), run: changeOperator },
   { title: "Connect the devices", against: inStates("OFF"), run: command("POST", "/api/connect") },

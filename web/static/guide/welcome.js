@@ -1,6 +1,7 @@
 // First visit: one obvious thing to do, and three sentences about the page. Shown once per browser.
 import { $, benchNote, blockReason, button, enable, ensureFresh, make, onStatus, sendCommand, setText } from "../page/station.js";
 import { openTab } from "../page/tabs.js";
+import { local } from "../page/storage.js";
 
 const STEPS = [
   ["stop", "STOP, or Shift+Space, stops every axis at once, at any time."],
@@ -36,7 +37,7 @@ function show(...children) {
 }
 
 function close() {
-  localStorage.setItem("welcomed", "yes");
+  local.set("welcomed", "yes");
   unmark();
   box.remove();
 }
@@ -61,7 +62,7 @@ document.addEventListener("keydown", (event) => {
   if (box.isConnected) close(); // while something moves, Escape has been taken for STOP
 });
 
-if (localStorage.getItem("welcomed") === null) {
+if (local.get("welcomed") === null) {
   actions.append(demo, button("Show me around", () => tour()), button("Close", close));
   show(make("h2", {}, "Welcome"), about, bench, actions, reason);
 }

@@ -2,7 +2,6 @@
 import { $, blockReason, button, clock, confirm, dataAge, enable, isSilent, latest, make, mayCommand, name, note, onRefusal, onStatus, replaceChanged, rigAnswer, sendCommand, setText, silentReason } from "./station.js";
 import { poseText } from "./form.js";
 import { small } from "./layout.js";
-import { alarm } from "./stop.js";
 import { isOpen, openTab } from "./tabs.js";
 
 const DEVICE_NAMES = { stages: "stages", tracker: "tracker", sensors: "force sensors" };
@@ -25,7 +24,7 @@ export async function home() {
 }
 
 async function reset() {
-  if (await sendCommand("POST", "/api/reset", {})) alarm("");
+  if (await sendCommand("POST", "/api/reset", {})) window.STOP.alarm("");
 }
 
 /** Button label and effect of each `status.action`. */

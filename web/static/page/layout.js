@@ -1,5 +1,6 @@
 // Sizes of the page: width of the controls, which the browser stores; on small screens the folded scene and its menu.
 import { $ } from "./station.js";
+import { local } from "./storage.js";
 
 const STEP_PX = 24, MIN_PX = 340, MIN_SCENE_PX = 320; // step of an arrow key; smallest widths of the controls and of the scene
 const panel = $("panel"), divider = $("divider");
@@ -7,11 +8,11 @@ const panel = $("panel"), divider = $("divider");
 /** Set the width of the controls [px], within the page; null: the usual width. */
 function setWidth(width) {
   if (width === null) {
-    localStorage.removeItem("panel");
+    local.remove("panel");
     panel.style.removeProperty("--width");
   } else {
     const bounded = Math.round(Math.max(MIN_PX, Math.min(innerWidth - MIN_SCENE_PX, width)));
-    localStorage.setItem("panel", bounded);
+    local.set("panel", bounded);
     panel.style.setProperty("--width", `${bounded}px`);
   }
   describe();
@@ -39,7 +40,7 @@ divider.addEventListener("keydown", (event) => {
 });
 addEventListener("resize", describe);
 
-const kept = Number(localStorage.getItem("panel"));
+const kept = Number(local.get("panel"));
 if (kept > 0) setWidth(kept); else describe();
 
 // ---- small screens: the scene can be folded, and its view options are in a menu

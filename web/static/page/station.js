@@ -1,5 +1,7 @@
 // Shared by every part of the page: elements, units, the client's identity, requests, the status, and notes to the user.
 
+import { local, session } from "./storage.js";
+
 export const $ = (id) => document.getElementById(id);
 
 /** Return a new HTML element, for example make("p", {className: "dim"}, "text", child). */
@@ -68,34 +70,28 @@ export const dateTime = (date) => date.toLocaleString(undefined, { year: "numeri
 
 /** Return the value that this tab of the browser has stored as JSON under `key`; null without a readable one. */
 export function stored(key) {
-  try { return JSON.parse(sessionStorage.getItem(key)); } catch { return null; }
-}
-
-function identity() {
-  const known = sessionStorage.getItem("client");
-  if (known !== null) return known;
-  const bytes = crypto.getRandomValues(new Uint8Array(16));
-  const created = Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
-  sessionStorage.setItem("client", created);
-  return created;
+  try { return JSON.parse(session.get(key)); } catch { return null; }
 }
 
 /** Secret random identity of this browser tab. */
-export const client = identity();
-export const name = {
-  get: () => localStorage.getItem("name") ?? "",
-  set: (text) => localStorage.setItem("name", text),
-};
+export const { client } = window.STOP;
+export const name = { get: () => local.get("name") ?? "", set: (text) => local.set("name", text) };
 
 export class Refused extends Error {
   constructor(reason, status) { super(reason); this.status = status; }
 }
 
 let polls = new AbortController();
-/** Cancel all polling requests, because a browser opens at most six connections and a command needs a free one now. */
-export function abortPolls() {
+// A browser opens at most six connections, and STOP may need a free one now.
+document.addEventListener("stop-press", () => {
   polls.abort();
   polls = new AbortController();
+});
+
+/** Return a value of a request; JSON would send a number that is refused or missing as null, which means "automatic". */
+function finite(_, value) {
+  if (typeof value === "number" && !Number.isFinite(value)) throw new Refused("A field has no valid number. Correct it, then try again.", 422);
+  return value;
 }
 
 /** Return the station's answer; throw Refused with the reason of a refusal, or an Error if there is no answer within `timeout` [ms]. */
@@ -103,7 +99,7 @@ export async function request(method, path, body, timeout) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
   const answer = await fetch(path, {
-    method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body),
+    method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body, finite),
     signal: timeout === undefined ? undefined
       : AbortSignal.any([AbortSignal.timeout(timeout), ...(method === "GET" ? [polls.signal] : [])]),
   });
@@ -316,6 +312,14 @@ export function benchNote(devices) {
   return sensors ? "This bench has stages and force sensors, but no tracker: the loaded model computes the tip, and its error is not measured. Calibrations need a tracker."
     : "This bench has stages alone: the tip moves by the unloaded model, and nothing measures the tip or the force. Home, Jog, and motions with the inner loop “unloaded” work.";
 }
+
+const MOVING = ["RUNNING", "HOMING"];
+window.STOP.motion = () => (status === null || dataAge() > SILENT_AFTER_S ? "unknown" : MOVING.includes(status.state) ? "moving" : "rest");
+document.addEventListener("stop-report", (event) => {
+  event.preventDefault(); // the page shows the state, so an accepted STOP needs no other message
+  if (event.detail !== "") note(event.detail, true);
+  pollStatus();
+});
 
 export function start() {
   setInterval(pollStatus, POLL_INTERVAL_MS);

@@ -1,6 +1,7 @@
 // Tabs with arrow keys, as in the WAI-ARIA practices; the tab Bench contains tabs. The page's address names the open tab
 // and its detail, as in #history/RUN, so that Back and links work. Also parts that several tabs use.
 import { $, button, make, request } from "./station.js";
+import { local } from "./storage.js";
 
 const tabs = [...document.querySelectorAll("[role=tab]")], names = tabs.map((tab) => tab.getAttribute("aria-controls"));
 const listeners = {};
@@ -16,7 +17,7 @@ let current = "";
 
 /** Return the tab and its detail in the page's address; if the address has no tab, the tab that was open last. */
 function place() {
-  const [tab, ...detail] = location.hash.slice(1).split("/"), stored = localStorage.getItem("tab");
+  const [tab, ...detail] = location.hash.slice(1).split("/"), stored = local.get("tab");
   const id = names.find((one) => word(one) === tab);
   if (id === undefined) return [names.includes(stored) ? stored : names[0], ""];
   try { return [id, detail.map(decodeURIComponent).join("/")]; } catch { return [id, ""]; }
@@ -58,7 +59,7 @@ window.addEventListener("popstate", openPlace);
 
 /** Open a tab, and first the tab around it. */
 export function openTab(id, add = true) {
-  localStorage.setItem("tab", id);
+  local.set("tab", id);
   current = id;
   if (id in shows || add) writeAddress(add);
   const before = names.filter(isOpen);

@@ -1,5 +1,6 @@
 // The edited list of waypoints: rows of time and offset, their origin, undo, and the list as a CSV file.
 import { stored, tidy } from "../page/station.js";
+import { session } from "../page/storage.js";
 
 const KEY = "places";
 
@@ -18,7 +19,7 @@ export const canUndo = () => history.length > 0;
 
 function replaceList(next) {
   list = next;
-  sessionStorage.setItem(KEY, JSON.stringify(list));
+  session.set(KEY, JSON.stringify(list));
   for (const listener of listeners) listener();
 }
 
@@ -31,7 +32,7 @@ export function change(next) {
 /** Set the tip's position at the start [m], called when the robot is at the start. */
 export function setStartTip(tip) {
   list = { ...list, origin: { ...list.origin, tip } };
-  sessionStorage.setItem(KEY, JSON.stringify(list));
+  session.set(KEY, JSON.stringify(list));
 }
 
 export function undo() {

@@ -2,6 +2,7 @@
 import { $, blockReason, button, confirm, dateTime, enable, latest, make, note, onStatus, request, sendCommand, Refused } from "../page/station.js";
 import { head, isOpen, onPlace, onTab, openTab, showing } from "../page/tabs.js";
 import { address, card, changedSettings, comparison, durationOf, ended, errorSummary, flat, folded, outcomeOf, readable, SHAPES, thumbnail } from "./result.js";
+import { local } from "../page/storage.js";
 
 const date = (seconds) => new Date(1000 * seconds);
 const day = (seconds) => date(seconds).toLocaleDateString(undefined, { weekday: "long", year: "numeric", month: "long", day: "numeric" });
@@ -158,9 +159,9 @@ function draft(area, name) {
   const show = () => {
     const isUnsaved = area.value !== stored;
     element.textContent = isUnsaved ? "not saved yet; kept in this browser" : "";
-    if (isUnsaved) localStorage.setItem(key, area.value); else localStorage.removeItem(key);
+    if (isUnsaved) local.set(key, area.value); else local.remove(key);
   };
-  area.value = localStorage.getItem(key) ?? stored;
+  area.value = local.get(key) ?? stored;
   area.addEventListener("input", show);
   show();
   return { element, saved: (text) => { stored = text; show(); } };

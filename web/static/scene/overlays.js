@@ -1,6 +1,7 @@
 // Overlays of the scene: buttons of the views, a foldable legend, and the close-up of the tip.
 import { $, button, client, enable, isSilent, make, onStatus, request, setText, silentReason, stream } from "../page/station.js";
 import { cleared } from "../page/chart.js";
+import { local } from "../page/storage.js";
 
 const legend = await request("GET", "/api/scene/legend");
 
@@ -16,8 +17,8 @@ const row = ({ name, colour, shape }) => {
 const legendBox = make("details", { id: "legend" }, make("summary", {}, "Legend"),
   make("ul", {}, ...legend.signs.map(row), ...legend.tubes.map((tube) => row({ ...tube, shape: "bar" })),
     make("li", { id: "magnified" }, `tubes drawn ×${legend.magnification}`)));
-legendBox.open = (localStorage.getItem("legend") ?? (innerWidth >= 1700 ? "open" : "folded")) === "open";
-legendBox.addEventListener("toggle", () => localStorage.setItem("legend", legendBox.open ? "open" : "folded"));
+legendBox.open = (local.get("legend") ?? (innerWidth >= 1700 ? "open" : "folded")) === "open";
+legendBox.addEventListener("toggle", () => local.set("legend", legendBox.open ? "open" : "folded"));
 
 // ---- close-up of the tip: a parallel projection in millimetres, redrawn with each new message
 

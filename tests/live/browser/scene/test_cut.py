@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.harness.chromium import chromium, scene_page, wait_until_current
-from tests.harness.relay import Relay, relayed
+from tests.harness.relay import Relay, of_scene, relayed
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -15,7 +15,7 @@ HOLD = {"trajectory": {"kind": "hold"}, "duration": 60.0}
 
 @pytest.fixture
 def wire(station: Served) -> Iterator[Relay]:
-    with relayed(station.port) as relay:
+    with relayed(station.port, of_scene) as relay:
         yield relay
 
 
@@ -35,7 +35,7 @@ def test_disconnected_scene_is_reported_and_reconnects_while_stop_keeps_working(
 ) -> None:
     page, notice = cut_page, cut_page.locator("#scene-cut")
     page.locator("#state", has_text="READY").wait_for()
-    scenes = wire.scenes
+    scenes = wire.passed
     expect(notice).to_be_hidden()
     station.post("/api/start", HOLD)
     page.locator("#state", has_text="RUNNING").wait_for()
@@ -46,6 +46,6 @@ def test_disconnected_scene_is_reported_and_reconnects_while_stop_keeps_working(
     page.locator("#state", has_text="STOPPED").wait_for()
     wait_until_current(page)  # only the scene is cut
     wire.mend()
-    until(lambda: wire.scenes > scenes)  # the notice is also hidden while the page's data are stale
+    until(lambda: wire.passed > scenes)  # the notice is also hidden while the page's data are stale
     notice.wait_for(state="hidden")
     page.frame_locator("#scene").locator("canvas").first.wait_for()
