@@ -17,6 +17,12 @@ def test_no_module_opens_a_modal_dialog_that_blocks_stop(module: Path) -> None:
     assert not re.search(r"showModal|\b(alert|prompt)\(|window\.confirm|requestFullscreen", module.read_text())
 
 
+@pytest.mark.parametrize("module", MODULES, ids=lambda path: path.name)
+def test_every_number_is_entered_in_the_one_component_for_numbers(module: Path) -> None:
+    """A number field of the browser drops characters, for example the comma of 0,5."""
+    assert not re.search(r"type: \"number\"|type=.number|valueAsNumber", module.read_text(encoding="utf-8"))
+
+
 def test_page_reads_only_schemas_and_paths_of_the_api(app: TestClient) -> None:
     """A form whose schema has another name would leave its tab empty."""
     text = "\n".join(module.read_text(encoding="utf-8") for module in MODULES)

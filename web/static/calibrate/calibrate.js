@@ -3,6 +3,7 @@ import { $, blockReason, button, clock, confirm, dateTime, enable, ensureFresh, 
 import { showReason } from "../page/header.js";
 import { row } from "../page/form.js";
 import { card, head, isOpen, onPlace, onTab, showing } from "../page/tabs.js";
+import { numberList } from "../page/number.js";
 
 let info = await request("GET", "/api/calibration");
 const titles = Object.fromEntries(info.offers.map((offer) => [offer.name, offer.title]));
@@ -108,11 +109,10 @@ async function overview() {
 function procedure(offer) {
   showing("calibrate", offer.name);
   const effort = make("select", { "aria-label": "effort" }, ...[["0.5", "quick: half the poses"], ["1", "usual"], ["2", "thorough: twice as many poses"]].map(([value, text]) => make("option", { value, selected: value === "1" }, text)));
-  const weights = make("input", { type: "text", value: info.weights.join(", "), required: true, "aria-label": "known weights [N]" });
+  const weights = numberList("known weights [N]", info.weights, { required: true });
   const durationText = make("span", { className: "wide" });
-  const parsedWeights = () => weights.value.split(",").map(Number);
   const showDuration = () => {
-    const seconds = offer.seconds + (offer.weighs ? offer.weight_seconds * (parsedWeights().length - info.weights.length) : 0);
+    const seconds = offer.seconds + (offer.weighs ? offer.weight_seconds * (weights.numbers.length - info.weights.length) : 0);
     durationText.textContent = about(seconds * (offer.scales ? Number(effort.value) : 1));
   };
   effort.addEventListener("change", showDuration);
@@ -134,7 +134,7 @@ function procedure(offer) {
       make("p", {}, "The tubes will repeatedly turn and slide through their whole workspace. Is the path clear of all objects?"), clearBox)) return;
     const body = { what: offer.name, way_is_clear: true };
     if (offer.scales) body.effort = Number(effort.value);
-    if (offer.weighs) body.weights = parsedWeights();
+    if (offer.weighs) body.weights = weights.numbers;
     if (await sendAction("start", body)) overview();
   });
   overviewShown = false;

@@ -1,10 +1,11 @@
 // Cameras: live pictures with the model drawn over them, and snapshots. A picture is requested only while it is visible.
 import { $, button, enable, make, note, request, sendCommand, setText } from "../page/station.js";
 import { row } from "../page/form.js";
+import { numberField } from "../page/number.js";
 import { isOpen, onTab } from "../page/tabs.js";
 import { svg } from "../page/chart.js";
 
-const STATE_INTERVAL_MS = 500, OVERLAY_INTERVAL_MS = 150, RETRY_MS = 1500, TIMEOUT_MS = 4000, MARK_PX = 9;
+const STATE_INTERVAL_MS = 500, OVERLAY_INTERVAL_MS = 150, RETRY_MS = 1500, SILENT_MS = 5000, TIMEOUT_MS = 4000, MARK_PX = 9;
 const large = make("div", { id: "camera-large", hidden: true });
 const known = await request("GET", "/api/cameras");
 const cameras = known.map((camera) => new Camera(camera));
@@ -23,7 +24,7 @@ function Camera({ name, width, height, calibrated }) {
   const figure = make("figure", { className: "camera", style: `--ratio: ${width / height}` }, picture,
     make("figcaption", {}, make("b", {}, name), state, make("label", { title: calibrated ? "" : "the lens or the pose of this camera is not known" }, shown, "model over the picture"),
       button("Snapshot", () => saveSnapshot(name)), enlarge, problem, legend));
-  let live = false, retry = 0, socket = null, calibrating = false;
+  let live = false, loading = false, retry = 0, socket = null, calibrating = false;
 
   /** Start or end the stream: it runs only while the picture is visible. */
   const update = () => {
@@ -38,14 +39,23 @@ function Camera({ name, width, height, calibrated }) {
   };
   // A stream over HTTP would take one of the six connections that a browser opens for all windows of this page.
   const connect = () => {
+    socket?.close();
     const opened = socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/cameras/${id}/pictures`);
     opened.binaryType = "blob";
-    opened.addEventListener("message", ({ data }) => { if (opened === socket && live) show(URL.createObjectURL(data)); });
-    opened.addEventListener("close", () => { if (opened === socket && live) retry = setTimeout(connect, RETRY_MS); });
+    const reconnectAfter = (delay) => { clearTimeout(retry); retry = setTimeout(connect, delay); };
+    opened.addEventListener("message", ({ data }) => {
+      if (opened !== socket || !live) return;
+      reconnectAfter(SILENT_MS); // a dead connection reports no end
+      if (!loading) show(URL.createObjectURL(data)); // a slow computer skips pictures
+    });
+    opened.addEventListener("close", () => { if (opened === socket && live) reconnectAfter(RETRY_MS); });
+    reconnectAfter(SILENT_MS);
   };
+  for (const type of ["load", "error"]) image.addEventListener(type, () => { loading = false; });
   const show = (address) => {
     const before = image.src;
-    if (address === "") image.removeAttribute("src"); else image.src = address;
+    loading = address !== "";
+    if (loading) image.src = address; else image.removeAttribute("src");
     if (before !== "") URL.revokeObjectURL(before);
   };
   let pending = false;
@@ -107,13 +117,13 @@ function setLarge(figure) {
 // ---- calibration with a printed board
 
 const COLUMNS_OF_GRID = 8, GRID_UNIT = 10;
-const square = make("input", { type: "number", value: 35, min: 5, max: 200, step: 0.1, required: true, "aria-label": "side of a square of the board [mm]" });
+const square = numberField("side of a square of the board [mm]", 35, { min: 5, max: 200, required: true });
 const chosen = cameras.map(({ name }, i) => make("input", { type: "checkbox", checked: i < 2, value: name }));
 const boardLink = make("a", { target: "_blank", rel: "noopener" }, "Open the board to print");
-const setLink = () => { boardLink.href = `/api/cameras/board.svg?square=${1e-3 * Number(square.value)}`; };
+const setLink = () => { if (square.validity.valid) boardLink.href = `/api/cameras/board.svg?square=${1e-3 * square.number}`; };
 square.addEventListener("input", setLink);
 setLink();
-const startBoard = button("Start", () => sendBoard("/api/cameras/calibration", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * Number(square.value) }), { className: "main" });
+const startBoard = button("Start", () => square.reportValidity() && sendBoard("/api/cameras/calibration", { cameras: chosen.filter((one) => one.checked).map((one) => one.value), square: 1e-3 * square.number }), { className: "main" });
 const finishBoard = button("Compute result", () => sendBoard("/api/cameras/calibration/finish"), { className: "main" }), cancelBoard = button("Cancel", () => sendBoard("/api/cameras/calibration/cancel"));
 const boardInstruction = make("p", { className: "task", "aria-live": "polite" }), boardSeen = make("div", { className: "board-seen" }), boardResult = make("div");
 const boardForm = make("div", {}, make("p", {}, "Finds the lens of each camera and the pose of a second one, in two to five minutes. Print the board at 100 %, glue it on a flat plate, and hold it still at many places in the pictures, also tilted. The station takes the pictures by itself."),

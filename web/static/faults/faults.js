@@ -2,6 +2,7 @@
 import { $, blockReason, button, enable, make, mayCommand, note, onStatus, pastNotes, replaceChanged, request, rigAnswer, sendCommand, timeOfDay } from "../page/station.js";
 import { actionButton } from "../page/header.js";
 import { form, refuse, row, schemas, variants } from "../page/form.js";
+import { numberField } from "../page/number.js";
 import { poll } from "../page/tabs.js";
 
 const summary = make("div", { "aria-live": "polite" }), log = make("table"), messages = make("table");
@@ -10,8 +11,8 @@ const rig = await rigAnswer();
 const kinds = await request("GET", "/api/faults");
 const kind = make("select", { "aria-label": "fault" }, ...kinds.map((entry) => make("option", { value: entry.kind }, entry.kind.replaceAll("_", " "))));
 const device = make("select", { "aria-label": "device" });
-const value = make("input", { type: "number", step: "any", min: 0, "aria-label": "size" }), sizeRow = row("size", value), effect = make("p", { className: "small dim" });
-const durationInput = make("input", { type: "number", step: "any", min: 0.01, value: 2, "aria-label": "duration [s]", placeholder: "unlimited" });
+const value = numberField("size", null, { min: 0 }), sizeRow = row("size", value), effect = make("p", { className: "small dim" });
+const durationInput = numberField("duration [s]", 2, { min: 0.01, placeholder: "unlimited" });
 const inject = make("button", { type: "submit" }, "Inject"), clearFaults = button("Clear faults", () => sendCommand("DELETE", "/api/faults"));
 const lab = make("form", {}, make("fieldset", {}, make("legend", {}, "Inject a fault into a simulated device"),
   effect, make("div", { className: "rows" }, ...row("fault", kind), ...row("device", device), ...sizeRow, ...row("for", durationInput, "s")),
@@ -23,7 +24,7 @@ function choose() {
   value.disabled = chosen.most === null;
   for (const cell of sizeRow) cell.hidden = value.disabled;
   value.required = chosen.most !== null;
-  value.max = chosen.most ?? "";
+  value.bounds.max = chosen.most ?? Infinity;
   value.value = chosen.most === null ? "" : Math.min(0.05, chosen.most);
   sizeRow.at(-1).textContent = chosen.most === null ? "" : `${chosen.unit}, at most ${chosen.most}`;
   effect.textContent = chosen.effect;
@@ -34,8 +35,8 @@ choose();
 lab.addEventListener("submit", async (event) => {
   event.preventDefault();
   const fault = { kind: kind.value, device: device.value };
-  if (!value.disabled) fault.value = Number(value.value);
-  if (!durationInput.disabled && durationInput.value !== "") fault.duration = Number(durationInput.value);
+  if (!value.disabled) fault.value = value.number;
+  if (!durationInput.disabled && durationInput.number !== null) fault.duration = durationInput.number;
   if (await sendCommand("POST", "/api/faults", { faults: [fault] })) note(`injected: ${fault.kind.replaceAll("_", " ")}, ${fault.device}`, true);
 });
 

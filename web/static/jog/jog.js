@@ -5,6 +5,7 @@ import { showReason } from "../page/header.js";
 import { onTab } from "../page/tabs.js";
 import { form as formOf, poseText, refuse, row, schemas } from "../page/form.js";
 import { box as press } from "./press.js";
+import { numberField } from "../page/number.js";
 
 const REPEAT_MS = 100; // interval between two jog commands [ms]
 let active = null;
@@ -174,12 +175,12 @@ onTab("jog", (open) => { if (!open) release(); });
 
 const fields = rig.joints.map((joint) => {
   const [shown, scale] = unit(joint.unit), label = joint.name.replaceAll("_", " "), [low, high] = [joint.lower * scale, joint.upper * scale];
-  const input = make("input", { type: "number", step: "any", required: true, "aria-label": `${label} to go to`, min: tidy(low), max: tidy(high) });
+  const input = numberField(`${label} to go to`, null, { min: Number(tidy(low)), max: Number(tidy(high)), required: true });
   return { joint, input, scale, cells: row(label, input, `${tidy(Math.round(low))} … ${tidy(Math.round(high))} ${shown}`) };
 });
 
 const fillFields = (pose) => { for (const { joint, input, scale } of fields) if (pose?.[joint.name] !== undefined) input.value = tidy(Number((pose[joint.name] * scale).toFixed(2))); };
-const readPose = () => Object.fromEntries(fields.map(({ joint, input, scale }) => [joint.name, Number(input.value) / scale]));
+const readPose = () => Object.fromEntries(fields.map(({ joint, input, scale }) => [joint.name, input.number / scale]));
 
 /** Return the motion's duration [s]: the joints move together, and the slowest one moves at half of its top speed. */
 const seconds = (pose, current) => Math.max(...rig.joints.map((joint) => Math.abs(pose[joint.name] - current[joint.name]) / (0.5 * joint.speed)));

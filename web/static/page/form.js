@@ -1,5 +1,6 @@
 // Forms built from the station's description of its requests (OpenAPI): names, units, bounds, defaults.
 // The page shows millimetres and degrees; requests use SI.
+import { numberField, numberList, showBelow } from "./number.js";
 import { inPageUnits, make, once, tidy, unit } from "./station.js";
 
 const XYZ = ["x", "y", "z"];
@@ -24,7 +25,7 @@ export const row = (label, control, unitText = "", title = "") => [
  * names, as in "trajectory.radius: …" or "a period of 8 s would work"; otherwise above the form's last buttons.
  */
 export function refuse(form, text) {
-  form.querySelector(".refused")?.remove();
+  form.querySelector(".refused:not(.entry)")?.remove();
   const said = make("p", { className: "refused", role: "alert" }, inPageUnits(text));
   const names = (field) => {
     const words = field.ariaLabel.replace(/ [xyz]$/, "");
@@ -35,9 +36,7 @@ export function refuse(form, text) {
   if (field === undefined) [...form.querySelectorAll(".acts")].at(-1).before(said);
   else {
     for (let folded = field.closest("details"); folded !== null; folded = folded.parentElement.closest("details")) folded.open = true;
-    let cell = field;
-    while (!cell.parentElement.classList.contains("rows")) cell = cell.parentElement;
-    cell.nextElementSibling.after(said); // after its unit
+    showBelow(field, said);
     field.setAttribute("aria-invalid", "true");
     field.focus({ preventScroll: true });
   }
@@ -66,12 +65,9 @@ function bounds(field, scale) {
 }
 
 function numberInput(field, value, scale, required, label) {
-  const { low, high } = bounds(field, scale);
-  const input = make("input", { type: "number", step: "any", required, "aria-label": label });
-  if (low !== null) input.min = tidy(low);
-  if (high !== null) input.max = tidy(high);
-  if (typeof value === "number") input.value = tidy(value * scale);
-  return input;
+  const { low, high, open } = bounds(field, scale);
+  return numberField(label, typeof value === "number" ? value * scale : null,
+    { min: low === null ? -Infinity : Number(tidy(low)), max: high === null ? Infinity : Number(tidy(high)), open, whole: field.type === "integer", required });
 }
 
 const range = ({ low, high, open }) => low === null && high === null ? ""
@@ -103,21 +99,21 @@ function build(key, field, value, required, choices) {
   if (core.type === "number" || core.type === "integer") {
     const input = numberInput(core, value, scale, required && !optional, label);
     if (optional) input.placeholder = "automatic"; // the station chooses an omitted value
-    const readValue = () => (input.value === "" ? undefined : Number(input.value) / scale);
+    const readValue = () => (input.number === null ? undefined : input.number / scale);
     return { elements: cells(input, shown + range(bounds(core, scale))), read: readValue };
   }
   if (core.type === "array" && core.prefixItems) {
     const inputs = XYZ.map((axis, i) => numberInput(core.prefixItems[i], value?.[i], scale, required && !optional, `${label} ${axis}`));
     const omitted = () => optional && inputs.every((input) => input.value === ""); // the station chooses an omitted value
     return { elements: cells(make("div", { className: "three" }, ...inputs), shown === "" ? "x y z" : `x y z ${shown}`),
-      read: () => (omitted() ? undefined : inputs.map((input) => Number(input.value) / scale)) };
+      read: () => (omitted() ? undefined : inputs.map((input) => (input.number ?? NaN) / scale)) };
   }
   if (core.type === "string") {
     const input = make("input", { type: "text", value: value ?? "", required, "aria-label": label });
     return { elements: cells(input), read: () => input.value };
   }
-  const list = make("input", { type: "text", value: (value ?? []).join(", "), required, "aria-label": label, placeholder: "0, 2, 4" });
-  return { elements: cells(list, si), read: () => list.value.split(",").map(Number) };
+  const list = numberList(label, value ?? [], { required });
+  return { elements: cells(list, si), read: () => list.numbers };
 }
 
 /**

@@ -1,6 +1,7 @@
 // Queue of runs, above the motions of the tab Run: what runs next, why it waits, and its order.
 import { blockReason, button, confirm, enable, latest, make, note, onStatus, request, sendCommand } from "../page/station.js";
 import { refuse } from "../page/form.js";
+import { numberField } from "../page/number.js";
 import { isOpen, onTab } from "../page/tabs.js";
 
 const POLL_INTERVAL_MS = 1000, MAX_REPEATS = 50; // as in web/api/queue.py
@@ -15,9 +16,9 @@ export const box = make("fieldset", { id: "queue", hidden: true }, make("legend"
 
 /** Return the field for how often runs are added to the queue: {element, read()}; read() returns null for an invalid number. */
 export function repetitions() {
-  const input = make("input", { type: "number", min: 1, max: MAX_REPEATS, step: 1, value: 1, required: true, "aria-label": "repetitions in the queue" });
+  const input = numberField("repetitions in the queue", 1, { min: 1, max: MAX_REPEATS, whole: true, required: true });
   const element = make("label", { className: "small", title: "The noise of the sensors differs from run to run, as with another seed" }, "repeat ", input, " times");
-  return { element, read: () => (input.reportValidity() ? Number(input.value) : null) };
+  return { element, read: () => (input.reportValidity() ? input.number : null) };
 }
 
 /** Add the runs of a request at the end of the queue, as often as the field `repeat` contains. */

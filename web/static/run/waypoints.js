@@ -2,6 +2,7 @@
 import { $, blockReason, button, enable, inPageUnits, latest, make, onStatus, request, rigAnswer, setText, tidy, Refused } from "../page/station.js";
 import { step, svg } from "../page/chart.js";
 import { add, addRow, canUndo, change, csvOf, edit, firstError, move, onChange, origin, parseCsv, remove, rows, setStartTip, setTimes, undo, UNITS } from "./waypoint_list.js";
+import { numberField } from "../page/number.js";
 
 const CHECK_DELAY_MS = 300; // time without a change after which the path is checked [ms]
 const MM = 1e-3;
@@ -31,7 +32,7 @@ export function addHere() {
  */
 export function waypoints(rest, goThere) {
   const body = make("tbody"), message = make("p", { className: "small", role: "status" }), picture = make("div");
-  const speed = make("input", { type: "number", min: 0.1, max: 20, step: "any", value: USUAL_SPEED / MM, required: true, "aria-label": "speed between waypoints" });
+  const speed = numberField("speed between waypoints", USUAL_SPEED / MM, { min: 0.1, max: 20, required: true });
   const addButton = button("Add waypoint here", () => add(latest().tip_measured, latest().joints, metresPerSecond()), { className: "main", title: "at the measured position of the tip" }), undoButton = button("Undo", undo);
   const offsetWarning = make("span", { className: "small mind" });
   const goButton = button("Go to the start…", () => goThere("Go to the start?", origin().joints, { joints: origin().joints }));
@@ -41,7 +42,7 @@ export function waypoints(rest, goThere) {
   let checkResult = null, checkNumber = 0, timer = null;
   let fileError = ""; // error of the last chosen file, shown until the table changes
 
-  const metresPerSecond = () => Number(speed.value) * MM;
+  const metresPerSecond = () => speed.number * MM;
   const element = make("div", { className: "teach" },
     make("div", { className: "acts", style: "margin:0 0 8px" }, addButton, button("Add a row", () => { addRow(metresPerSecond()); focus(rows().length - 1, 0); }, { title: "add a row to fill in" }), undoButton),
     make("table", { className: "places", "aria-label": "waypoints, relative to the tip at the start" },
@@ -66,9 +67,9 @@ export function waypoints(rest, goThere) {
 
   function line(values, i) {
     const cells = values.map((value, k) => {
-      const input = make("input", { type: "number", step: "any", required: true, "aria-label": `waypoint ${i + 1} ${COLUMN_TITLES[k]}` });
+      const input = numberField(`waypoint ${i + 1} ${COLUMN_TITLES[k]}`, null, { required: true });
       input.value = cellText(value, k);
-      input.addEventListener("change", () => edit(i, k, input.value === "" ? NaN : Number(input.value) * (k ? MM : 1)));
+      input.addEventListener("change", () => edit(i, k, (input.number === null ? NaN : Number(input.number.toFixed(3))) * (k ? MM : 1)));
       return make("td", {}, input);
     });
     const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
@@ -82,7 +83,9 @@ export function waypoints(rest, goThere) {
   function fill() {
     const oldRows = [...body.querySelectorAll("tr.place")];
     if (oldRows.length !== rows().length) body.replaceChildren(...rows().map(line));
-    else oldRows.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => { input.value = cellText(rows()[i][k], k); }));
+    else oldRows.forEach((row, i) => row.querySelectorAll("input").forEach((input, k) => {
+      if (Number.isFinite(rows()[i][k]) || !Number.isNaN(input.number)) input.value = cellText(rows()[i][k], k); // a refused text stays
+    }));
     enable(undoButton, canUndo() ? "" : "Nothing to undo");
     checkResult = null;
     fileError = "";
