@@ -3,10 +3,11 @@
 from station.control.clock import StationClock
 
 RATE = 0.5
-#: Settings with a slow clock and without a limit on the control loop's lateness, because other programs also use the
+#: A slow clock; and a busy computer may keep a simulated device silent for some time.
+CLOCK = StationClock(RATE, patience=1.0)
+#: Settings with this clock and without a limit on the control loop's lateness, because other programs also use the
 #: processors.
 SETTINGS = {
-    "clock": {"rate": RATE, "patience": 1.0},
+    "clock": {"rate": CLOCK.rate, "patience": CLOCK.patience},
     "overruns": {"hold_in_a_row": 1000, "hold_share": 1.0, "fault_in_a_row": 5000},
 }
-CLOCK = StationClock(RATE)

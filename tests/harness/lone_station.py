@@ -88,9 +88,10 @@ def main() -> None:
     # many.
     calm = {"overruns": {**SETTINGS["overruns"], "hold_share": 0.2}}
     bench = load_station(None, calm if rate < 1.0 else {}).bench()
-    bench = replace(bench, clock=StationClock(rate), on_operator_loss="hold")
+    clock = CLOCK if rate == CLOCK.rate else StationClock(rate)
+    bench = replace(bench, clock=clock, on_operator_loss="hold")
     if setup["lab"] is not None:
-        devices = devices_at(setup["lab"], bench.lab)
+        devices = devices_at(setup["lab"], bench.lab, clock)
         changed = {} if setup["stages"] is None else {"stages": setup["stages"]}
         bench = replace(bench, devices=devices.model_copy(update=changed))
     supervisor = Supervisor(bench, Path(folder))

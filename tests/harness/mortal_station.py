@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ import psutil
 from websockets.sync.client import connect
 
 from station.lab.lab_server import devices_at
+from tests.harness.calm import CLOCK
 from tests.harness.root import ROOT
 from tests.harness.waiting import NET, until
 from tests.harness.watched_lab import WatchedLab
@@ -120,7 +122,8 @@ def _toml(value: Any) -> str:
 @contextmanager
 def mortal_station(lab: WatchedLab, folder: Path) -> Iterator[MortalStation]:
     """Yield a station that is READY on a lab, in a terminal of its own."""
-    devices = devices_at(lab.endpoints, lab.config, lab.clock).model_dump(exclude_none=True)
+    patient = replace(lab.clock, patience=CLOCK.patience)  # a busy computer keeps simulated devices silent
+    devices = devices_at(lab.endpoints, lab.config, patient).model_dump(exclude_none=True)
     settings = "own_core = false\nfifo = false\n[overruns]\nhold_in_a_row = 1000\nhold_share = 1.0\n"
     settings += "fault_in_a_row = 5000\n[devices]\n" + "".join(
         f"{kind} = {_toml(table)}\n" for kind, table in devices.items()
