@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from station.control.commands import Jog, Stop
 from station.service.audit import Audit
-from web.access.gate import CHANGING_METHODS
+from web.access.gate import CHANGING_METHODS, STOP_CHECK
 
 #: Interval of the summaries [s], and number of refusals that are logged in full in one interval.
 SUMMARY_INTERVAL_S, MAX_WRITTEN = 60.0, 100
@@ -119,7 +119,7 @@ REPEAT_INTERVAL_S = 1.0
 #: Path of STOP. Every client may send STOP at any rate, so the log omits its body and counts its repeats.
 STOP = Stop.path()
 #: Paths of POST requests that only query the station; these requests are logged only if access to them is refused.
-QUERY_PATHS = (f"{STOP}/check", "/api/model/solve", "/api/waypoints/check", "/api/calibration/exchange")
+QUERY_PATHS = (STOP_CHECK, "/api/model/solve", "/api/waypoints/check", "/api/calibration/exchange")
 #: Largest number of bytes that are logged of a request's body, and of the body of a refusal.
 MAX_BODY_BYTES = 400
 #: Status codes of refused access; queries with these codes are logged although a query changes nothing.

@@ -21,8 +21,10 @@ from web.access.identity import Role, Tokens, sender
 MAX_BODY_BYTES = 64 * 1024
 COOKIE = "ctr_station"
 CHANGING_METHODS = ("POST", "PUT", "PATCH", "DELETE")
+#: Path at which a page checks that its STOP would be accepted.
+STOP_CHECK = f"{Stop.path()}/check"
 #: Paths to which viewers may send POST requests: STOP, its check, and queries whose parameters are in a body.
-VIEWER_PATHS = (Stop.path(), f"{Stop.path()}/check", "/api/model/solve", "/api/calibration/exchange")
+VIEWER_PATHS = (Stop.path(), STOP_CHECK, "/api/model/solve", "/api/calibration/exchange")
 #: Reason that is sent to a client without a token.
 ACCESS_HINT = "a token is required: open the address with ?token=... that the station prints, or send a bearer token"
 FRAME_DESTINATIONS = ("iframe", "frame", "embed", "object")

@@ -177,9 +177,8 @@ def camera_routes(supervisor: Supervisor, calibration: CameraCalibration, of: Co
                 return listening.done()
 
             if host is None or streams >= MAX_STREAMS:
-                await socket.close(
-                    TRY_AGAIN_LATER, f"no camera '{name}', or {MAX_STREAMS} streams of pictures are open"
-                )
+                reason = "there is no such camera" if host is None else f"{MAX_STREAMS} streams of pictures are open"
+                await socket.close(TRY_AGAIN_LATER, reason)
                 return
             streams += 1
             try:

@@ -17,6 +17,7 @@ from station.control.commands import Stop
 from station.service.audit import Audit
 from station.service.supervisor import Supervisor
 from web.access.audit_middleware import Repeats
+from web.access.gate import STOP_CHECK
 from web.access.identity import Sender, clean_name, is_client, sender_of
 from web.access.lease import Lease
 from web.api.commands import Commands, described, stopper
@@ -24,8 +25,6 @@ from web.api.schemas import StopCheckOut, StopOut
 
 #: Text by which the audit log names a STOP that arrived over a WebSocket.
 LOGGED = "STOP over the socket of a page"
-
-
 #: Number of presses whose outcomes are remembered.
 REMEMBERED_PRESSES = 256
 #: Header of `POST /api/stop` with the random text that identifies a press.
@@ -90,7 +89,7 @@ def stop_routes(stops: Stops, of: Commands, audit: Audit) -> APIRouter:
             response.status_code = 202
         return answer
 
-    @router.post(f"{Stop.path()}/check", summary="Check that a STOP of this client would be accepted")
+    @router.post(STOP_CHECK, summary="Check that a STOP of this client would be accepted")
     async def check() -> StopCheckOut:
         """Do nothing; a client for whom STOP is refused gets the same refusal here."""
         return StopCheckOut(accepted=True)

@@ -204,7 +204,7 @@ def test_button_shows_the_reason_behind_a_proxy_for_which_the_station_refuses_st
             wire.replaced = (b"", b"")
 
 
-def test_request_that_waited_for_a_connection_does_not_stop_a_later_motion(station: Served, chrome: Browser) -> None:
+def test_waiting_request_is_cancelled_once_stop_is_acknowledged(station: Served, chrome: Browser) -> None:
     with window(chrome) as context:
         page = opened(context, station)
         works(page)

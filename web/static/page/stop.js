@@ -142,8 +142,8 @@
     opened.addEventListener("message", ({ data }) => {
       if (opened !== socket) return;
       const answer = JSON.parse(data);
-      if (answer.confirmed === undefined) [worksSince, askedAt, refusal] = [askedAt ?? worksSince, null, ""];
-      else if (answer.press === unacknowledged?.id) acknowledge(unacknowledged, answer);
+      if (answer.press === undefined) [worksSince, askedAt, refusal] = [askedAt ?? worksSince, null, ""]; // of a check
+      else if (answer.press === unacknowledged?.id && answer.error === undefined) acknowledge(unacknowledged, answer);
       show();
     });
     opened.addEventListener("close", () => { if (opened === socket) lose(); });
@@ -175,7 +175,7 @@
   function show() {
     const connected = socketWorks() || performance.now() - acceptedAt < FRESH_MS;
     const state = connected ? "" : refusal === "" ? "not connected" : "refused";
-    const text = state === "refused" ? `STOP does not work in this page: ${refusal}. Use the emergency stop of the rig.` : "";
+    const text = state === "refused" ? `STOP does not work in this page: ${refusal}. ${EMERGENCY}` : "";
     if (find("stop-state") !== null && find("stop-state").textContent !== state) find("stop-state").textContent = state;
     if (find("stop-refused") === null || find("stop-refused").textContent === text) return;
     find("stop-refused").textContent = text;

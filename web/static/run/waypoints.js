@@ -5,13 +5,13 @@ import { add, addRow, canUndo, change, csvOf, edit, firstError, move, onChange, 
 import { numberField } from "../page/number.js";
 
 const CHECK_DELAY_MS = 300; // time without a change after which the path is checked [ms]
-const MM = 1e-3;
+const MM = 1e-3, DECIMALS = 3; // of seconds and millimetres in the table
 /** The robot counts as at the start pose if each joint is at most this far from its start position [rad, m]. */
 const NEAR_START = { rad: 0.01, m: 5e-4 };
 const COLUMN_TITLES = ["time s", "x mm", "y mm", "z mm"];
 
 /** Format a value for a cell: seconds in the first column, millimetres in the others. */
-const cellText = (value, column) => (Number.isFinite(value) ? tidy(Number((column ? value / MM : value).toFixed(3))) : "");
+const cellText = (value, column) => (Number.isFinite(value) ? tidy(Number((column ? value / MM : value).toFixed(DECIMALS))) : "");
 
 const rig = await rigAnswer();
 let table = null; // the table shown on the page
@@ -69,7 +69,7 @@ export function waypoints(rest, goThere) {
     const cells = values.map((value, k) => {
       const input = numberField(`waypoint ${i + 1} ${COLUMN_TITLES[k]}`, null, { required: true });
       input.value = cellText(value, k);
-      input.addEventListener("change", () => edit(i, k, (input.number === null ? NaN : Number(input.number.toFixed(3))) * (k ? MM : 1)));
+      input.addEventListener("change", () => edit(i, k, (input.number === null ? NaN : Number(input.number.toFixed(DECIMALS))) * (k ? MM : 1)));
       return make("td", {}, input);
     });
     const shift = (by) => { move(i, by); focus(i + by, 4 + (by > 0 ? 1 : 0)); };
