@@ -116,6 +116,11 @@ def is_regular(path: Path) -> bool:
         return False
 
 
+def is_hidden(path: Path) -> bool:
+    """Return whether a file or folder is hidden, as those that systems and editors write next to a user's files."""
+    return path.name.startswith(".")
+
+
 def _check_regular(status: os.stat_result, name: Path | str) -> None:
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")

@@ -22,19 +22,18 @@ import cv2
 import numpy as np
 from av.error import FFmpegError
 from av.video.codeccontext import VideoCodecContext
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from zstandard import ZstdError
 
 from core.robot.robot import Array
 from station.devices.cameras import CameraFile
 from station.devices.projection import view_of
 from station.lab.rendering import Picture
+from station.recording.chunks import chunks_with, messages
 from station.recording.data_section import NO_ROWS, DataSection, Topic, WrittenMessage
 from station.recording.drawing import quaternion_of
 from station.recording.foxglove import FrameTransforms, json_topic
 from station.recording.metadata import texts, values_of, versions
-from station.recording.run_folder import RECORDING_SUFFIX, video_files
+from station.recording.read import indexed, undamaged
+from station.recording.run_folder import RECORDING_SUFFIX, replacing, video_files
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.summary import finish_file
 from station.recording.writer import PARTIAL_SUFFIX
@@ -134,7 +133,7 @@ class VideoWriter:
             self._flush()
             self._section.close()
             result = {"label": RunOutcome.COMPLETE, "cause": "", "ended": time.time(), "frames": self.frames}
-            finish_file(self._section.path, texts(result), verify=False)
+            finish_file(self._section.path, texts(result))
             self._section.path.rename(self._path)
         except OSError as error:
             raise RecordingError(f"camera {self._name}: the video cannot be finished: {error.strerror}") from None
@@ -207,19 +206,28 @@ class RecordedFrame(NamedTuple):
 def read_frames(path: Path) -> Iterator[RecordedFrame]:
     """Yield the encoded frames of a video file in the order of their time.
 
+    Damaged frames are left out, and so are the following ones up to the next key frame, which depend on them.
+
     Raises:
         RecordingError: the file cannot be read or is not a video of this program.
     """
-    try:
-        with open_in(path.parent, path.name) as file:
-            for schema, _, message in make_reader(file).iter_messages(log_time_order=False):
-                if schema is not None and schema.name == VIDEO_SCHEMA:
-                    (length,) = struct.unpack_from("<I", message.data, 8)
-                    start = 12 + length
-                    (size,) = struct.unpack_from("<I", message.data, start)
-                    yield RecordedFrame(message.log_time, message.data[start + 4 : start + 4 + size])
-    except (McapError, ZstdError, OSError, ValueError, struct.error) as error:
-        raise RecordingError(f"{path}: not a video of this program, or damaged: {error}") from None
+    with undamaged(path), open_in(path.parent, path.name) as file, indexed(file) as recording:
+        whole = True
+        for content in chunks_with(recording.file, recording.summary, VIDEO):
+            whole = whole and content is not None
+            for message in messages(content or b"", VIDEO):
+                frame = _recorded_frame(message.time, message.data(content or b""))
+                whole = whole or _is_key(frame.data)
+                if whole:
+                    yield frame
+
+
+def _recorded_frame(stamp: int, data: bytes) -> RecordedFrame:
+    """Return the frame in a message that `_video_message` has created."""
+    (length,) = struct.unpack_from("<I", data, 8)
+    start = 12 + length
+    (size,) = struct.unpack_from("<I", data, start)
+    return RecordedFrame(stamp, data[start + 4 : start + 4 + size])
 
 
 def decode_frames(path: Path) -> Iterator[tuple[int, Picture]]:
@@ -285,14 +293,10 @@ def camera_of(path: Path) -> tuple[str, CameraFile]:
     Raises:
         RecordingError: the file cannot be read or is not a video of this program.
     """
-    try:
-        with open_in(path.parent, path.name) as file:
-            written = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-        values = values_of(written["camera"])
+    with undamaged(path), open_in(path.parent, path.name) as file, indexed(file) as recording:
+        values = values_of(recording.metadata["camera"])
         known = {key: value for key, value in values.items() if key in CameraFile.model_fields}
         return str(values["name"]), CameraFile.model_validate(known, strict=False)
-    except (McapError, ZstdError, OSError, ValueError, KeyError, struct.error) as error:
-        raise RecordingError(f"{path}: not a video of this program, or damaged: {error}") from None
 
 
 def write_mp4(path: Path, target: Path) -> int:
@@ -304,10 +308,13 @@ def write_mp4(path: Path, target: Path) -> int:
     frames = list(read_frames(path))
     if not frames:
         raise RecordingError(f"{path}: the video has no frames")
-    unfinished = target.with_name(target.name + PARTIAL_SUFFIX)
     stream = BytesIO(b"".join(frame.data for frame in frames))
     try:
-        with av.open(stream, "r", format="h264") as source, av.open(unfinished, "w", format="mp4") as out:
+        with (
+            replacing(target) as unfinished,
+            av.open(stream, "r", format="h264") as source,
+            av.open(unfinished, "w", format="mp4") as out,
+        ):
             template = source.streams.video[0]
             written = out.add_stream_from_template(template)
             written.time_base = TIME_BASE
@@ -316,11 +323,8 @@ def write_mp4(path: Path, target: Path) -> int:
                 packet.stream, packet.time_base = written, TIME_BASE
                 packet.pts = packet.dts = round((frame.time - frames[0].time) / 1e3)
                 out.mux(packet)
-        unfinished.replace(target)
     except (OSError, FFmpegError) as error:
         raise RecordingError(f"{target}: cannot be written: {error}") from None
-    finally:
-        unfinished.unlink(missing_ok=True)
     return len(frames)
 
 

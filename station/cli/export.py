@@ -68,6 +68,9 @@ def _export(parsed: argparse.Namespace) -> int:
             bar.update(tasks[case], completed=part)
 
         choice = Choice(tuple(name.strip() for name in parsed.fields.split(",") if name.strip()), parsed.rate)
-        files = export_run(resolve_run(parsed.run, runs), parsed.format, parsed.out, progress, parsed.case, choice)
+        files = export_run(
+            resolve_run(parsed.run, runs), parsed.format, parsed.out, progress, parsed.case, choice,
+            lambda text: bar.console.print(f"ctr-station: {text}", markup=False, soft_wrap=True),
+        )  # fmt: skip
     sys.stdout.writelines(f"{file}\n" for file in files)
     return 0

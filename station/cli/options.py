@@ -140,11 +140,10 @@ def data_folder(parsed: argparse.Namespace) -> Path:
 
 def recovered_data(parsed: argparse.Namespace) -> Path:
     """Finish interrupted runs in the data folder, print those that cannot be finished, and return the folder."""
-    from station.recording.recover import recover, unrecoverable
+    from station.recording.recover import recover
 
     runs = data_folder(parsed)
-    recover(runs)
-    for sentence in unrecoverable(runs):
+    for sentence in recover(runs).problems:
         sys.stderr.write(f"ctr-station: {sentence}\n")
     return runs
 

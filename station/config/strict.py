@@ -9,6 +9,7 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -22,6 +23,7 @@ from core.strict import Positive as Positive
 from core.strict import Row as Row
 from core.strict import Strict as Strict
 from core.strict import Vector as Vector
+from station.regular_file import is_hidden
 
 _TABLE = re.compile(r"\[(\[?)\s*([^\[\]]+?)\s*\]?\]\s*(?:#.*)?")
 _KEY = re.compile(r"\s*((?:[\w-]+|\"[^\"]*\"|'[^']*')(?:\s*\.\s*(?:[\w-]+|\"[^\"]*\"|'[^']*'))*)\s*=(.*)")
@@ -194,8 +196,8 @@ def _presets(kind: str) -> dict[str, Path]:
     """Return files by name; a custom experiment replaces the station's one with the same name."""
     found = {path.stem: path for path in (PRESETS / kind).glob("*.toml")}
     if kind == "experiments" and (own := os.environ.get(EXPERIMENTS_VARIABLE)):
-        mine = (path for path in Path(own).glob("*.toml") if not has_control_characters(path.stem))
-        found |= {path.stem: path for path in mine}
+        mine = (path for path in Path(own).glob("*.toml") if not is_hidden(path))
+        found |= {path.stem: path for path in mine if not has_control_characters(path.stem)}
     return found
 
 
@@ -257,18 +259,27 @@ def read_toml(path: Path) -> Document:
 
 
 def read_text(path: Path, refused: type[CtrError] = ConfigError) -> str:
-    """Return the file's text without a byte order mark.
+    """Return the file's text, as `text_of` does.
 
     Raises:
-        refused: the file is unreadable or not UTF-8; the argument is the class of this exception.
+        refused: the file is unreadable or in another encoding; the argument is the class of this exception.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return text_of(path.read_bytes())
     except OSError as error:
         raise refused(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
         line, wrong = error.object[: error.start].count(b"\n") + 1, error.object[error.start]
         raise refused(f"{path}: not UTF-8 text: byte {wrong:#04x} (line {line}); save it as UTF-8") from None
+
+
+def text_of(content: bytes) -> str:
+    """Return the text of a file in UTF-8, UTF-16 or UTF-32, without a byte order mark and carriage returns.
+
+    Raises:
+        UnicodeDecodeError: the file has another encoding.
+    """
+    return StringIO(content.decode(json.detect_encoding(content)), newline=None).getvalue()
 
 
 def parse_toml(text: str, source: str) -> Document:

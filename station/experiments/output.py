@@ -114,7 +114,7 @@ class ResultFolder:
         self._out, self._experiment, self._seed = out, experiment, seed
         self._folder = RunFolder(out, f"{experiment.name}-seed{seed}-{datetime.now().astimezone():%Y%m%d-%H%M%S}")
         self._folder.add_source(experiment.source)
-        self.recovered = recover(out)  #: folders of killed runs that were recovered now
+        self.recovered = recover(out).folders  #: folders of killed runs that were recovered now
 
     @property
     def path(self) -> Path:
@@ -143,8 +143,7 @@ class ResultFolder:
     def abandon(self) -> None:
         """Keep the recorded rows as an interrupted run after an error; remove the folder if no row was recorded."""
         self._folder.let_go()
-        with contextlib.suppress(RecordingError):  # the caller reports the first error; the next start recovers
-            recover(self._out)
+        recover(self._out)
 
 
 def case_metadata(experiment: Experiment, case: Case, seed: int) -> dict[str, Any]:

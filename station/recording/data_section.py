@@ -40,6 +40,8 @@ TELEMETRY_SCHEMA = "ctr_station/Telemetry"
 MESSAGE_HEADER_BYTES = 31
 #: Name of this program in the header of the MCAP file.
 LIBRARY = "ctr-station"
+#: Name of the compression of chunks.
+COMPRESSION = "zstd"
 #: Compression level of zstd: level -1 takes a third less time and gives 19 % more bytes, level 3 gives 2 % less.
 ZSTD_LEVEL = 1
 #: Groups of channels that devices measure. They are recorded in single precision without rounding. It keeps every count
@@ -269,8 +271,7 @@ class DataSection:
             self._end = 0  # offset after the last complete record
             self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
             head = RecordBuilder()
-            head.write(MCAP0_MAGIC)
-            Header("", LIBRARY).write(head)
+            head.write(first_bytes())
             for name, entries in metadata.items():
                 Metadata(name, dict(entries)).write(head)
             for number, topic in enumerate(topics, start=1):
@@ -303,7 +304,7 @@ class DataSection:
         content = body.getvalue()
         group = RecordBuilder()
         Chunk(
-            compression="zstd",
+            compression=COMPRESSION,
             data=self._compressor.compress(content),
             message_start_time=min(times),
             message_end_time=max(times),
@@ -325,6 +326,14 @@ class DataSection:
             # On a nearly full disk, only a part of the data is written. The next attempt then raises the error.
             left = left[self._file.write(left) or 0 :]
         self._end += len(data)
+
+
+def first_bytes() -> bytes:
+    """Return the bytes with which every recording of this program starts."""
+    head = RecordBuilder()
+    head.write(MCAP0_MAGIC)
+    Header("", LIBRARY).write(head)
+    return head.end()
 
 
 def message_record(message: WrittenMessage) -> bytes:

@@ -6,7 +6,6 @@ dots. Every case of a run is a trajectory; a run with one case is divided into f
 """
 
 import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.robot.robot import Array
+from station.config.strict import text_of
 from station.recording.read import CaseReader, open_case
 from station.recording.run_folder import recordings
 from station.recording.run_outcome import RecordingError
@@ -147,7 +147,7 @@ def _case(case: CaseReader, interval: float) -> tuple[list[Column], Array]:
 def _validation(folder: Path) -> tuple[list[Column], Array]:
     """Return the columns and rows of a validation's table of errors; the line numbers are replaced by 0."""
     try:
-        header, *lines = csv.reader(io.StringIO(read_in(folder, ERRORS_FILE).decode()))
+        header, *lines = csv.reader(text_of(read_in(folder, ERRORS_FILE)).splitlines())
         rows = np.array([[float(cell) for cell in cells] for cells in lines])
     except (OSError, ValueError) as error:
         raise RecordingError(f"{folder / ERRORS_FILE}: cannot be read: {error}") from None

@@ -6,6 +6,7 @@ CSV and Parquet files are written block by block, so a recording may be longer t
 array for each channel and is created in memory.
 """
 
+import functools
 import json
 import math
 import re
@@ -21,8 +22,8 @@ from core.robot.robot import Array
 from station.config.controllers import PERIOD_S
 from station.control.telemetry import Channel
 from station.recording.data_section import unique_name
-from station.recording.read import CaseReader, open_case
-from station.recording.run_folder import SUMMARY_FILE, recordings
+from station.recording.read import CaseReader, missing_rows, open_case
+from station.recording.run_folder import SUMMARY_FILE, recordings, replacing
 from station.recording.run_outcome import RecordingError
 from station.regular_file import read_in
 
@@ -78,6 +79,7 @@ def export_run(
     progress: Callable[[str, float], None] = lambda _case, _part: None,
     case: str = "",
     choice: Choice = EVERYTHING,
+    damaged: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write the cases of a run in another format.
 
@@ -88,6 +90,7 @@ def export_run(
         progress: receives the name of a case and the fraction of it that is done.
         case: name of the only case to write; empty: all cases.
         choice: fields and rate.
+        damaged: receives a message for each case with damaged rows, which are missing.
 
     Returns:
         Paths of the written files, which are complete.
@@ -112,15 +115,19 @@ def export_run(
         targets = [(out or folder) / f"{path.stem}.{kind}" for path in found]
     for recording, target in zip(found, targets, strict=True):
         start = _motion_start(folder / SUMMARY_FILE, recording.stem)
-        export_case(recording, kind, target, start, lambda part, name=recording.stem: progress(name, part), choice)
+        part = functools.partial(progress, recording.stem)
+        if missing := export_case(recording, kind, target, start, part, choice):
+            damaged(f"{recording}: {missing}")
     return targets
 
 
 def export_case(
     recording: Path, kind: str, target: Path, start: float,
     progress: Callable[[float], None] = lambda _: None, choice: Choice = EVERYTHING,
-) -> None:  # fmt: skip
+) -> str:  # fmt: skip
     """Write a recording in another format to the file `target`, which gets its name only when it is complete.
+
+    Return a message about damaged rows that are missing; empty if there are none.
 
     Args:
         recording: file of the recording.
@@ -134,17 +141,13 @@ def export_case(
         RecordingError: the recording cannot be read or lacks a chosen field, or the disk is full.
     """
     write = {"csv": _csv, "parquet": _parquet, "mat": _mat}[kind]
-    unfinished = target.with_name(target.name + ".partial")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with open_case(recording) as case:
-            try:
-                kept = choice.columns(case.channels)
-                channels = (MOTION_TIME, *(case.channels[at] for at in kept))
-                write(case, channels, _blocks(case, start, kept, choice.stride, progress), unfinished)
-                unfinished.replace(target)
-            finally:
-                unfinished.unlink(missing_ok=True)
+        with open_case(recording) as case, replacing(target) as unfinished:
+            kept = choice.columns(case.channels)
+            channels = (MOTION_TIME, *(case.channels[at] for at in kept))
+            write(case, channels, _blocks(case, start, kept, choice.stride, progress), unfinished)
+            return missing_rows(case.gaps())
     except OSError as error:
         raise RecordingError(f"{target}: cannot be written: {error.strerror or error}") from None
 

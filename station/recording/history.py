@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from station.config.strict import Strict, has_control_characters
+from station.config.strict import Strict, has_control_characters, text_of
 from station.recording.deletion import RECORD_FILE, TRASH, remove_due, write_deletion
 from station.recording.headline import Headline, headline
 from station.recording.read import open_case
@@ -26,7 +26,7 @@ from station.recording.run_folder import (
 )
 from station.recording.run_outcome import CaseOutcome, RecordingError, case_outcomes
 from station.recording.writer import PARTIAL_SUFFIX
-from station.regular_file import is_regular, open_folder, read_in
+from station.regular_file import is_hidden, is_regular, open_folder, read_in
 
 #: Name of the file with the title, star, tags and notes that the user has added to a run.
 NOTES_FILE = "notes.json"
@@ -277,13 +277,14 @@ class RunHistory:
         return found
 
     def _folders(self) -> Iterator[Path]:
-        """Yield the folders of finished runs; links, unreadable folders and names that are not UTF-8 are skipped."""
+        """Yield the folders of finished runs; links, names not in UTF-8, hidden and unreadable ones are skipped."""
         if not self._runs.is_dir() or (self._runs.is_symlink() and not self._may_be_link):
             return
         for folder in self._runs.iterdir():
             if (
                 folder.name.endswith(PARTIAL_SUFFIX)
                 or folder.name == TRASH
+                or is_hidden(folder)
                 or not has_utf8_name(folder)
                 or folder.is_symlink()
                 or not folder.is_dir()
@@ -353,11 +354,11 @@ def _added(folder: Path) -> dict[str, Any]:
         OSError: the file cannot be read, or is damaged, so that a change would lose its content.
     """
     try:
-        text = read_in(folder, NOTES_FILE)
+        content = read_in(folder, NOTES_FILE)
     except FileNotFoundError:
         return {}
     try:
-        return _object(text)
+        return _object(content)
     except (ValueError, RecursionError):
         raise OSError(errno.EINVAL, f"{NOTES_FILE} is damaged; repair or remove it", folder / NOTES_FILE) from None
 
@@ -370,13 +371,13 @@ def _json(folder: Path, name: str) -> dict[str, Any]:
         return {}
 
 
-def _object(text: bytes) -> dict[str, Any]:
-    """Return the JSON object in a text; NaN and infinity become null.
+def _object(content: bytes) -> dict[str, Any]:
+    """Return the JSON object in a file; NaN and infinity become null.
 
     Raises:
-        ValueError, RecursionError: the text is not a JSON object that can be sent as UTF-8.
+        ValueError, RecursionError: the file is not a JSON object that can be sent as UTF-8.
     """
-    found = json.loads(text.decode(), parse_constant=lambda _: None, parse_float=_finite)
+    found = json.loads(text_of(content), parse_constant=lambda _: None, parse_float=_finite)
     json.dumps(found, ensure_ascii=False).encode()  # raises for a lone surrogate, which is not valid text
     if not isinstance(found, dict):
         raise ValueError("not a JSON object")

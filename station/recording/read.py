@@ -1,34 +1,33 @@
 """Reading of recordings: a whole case at once, or block by block if the case is larger than the memory."""
 
 import json
-import struct
-from collections.abc import Container, Iterator, Mapping
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
-from zstandard import ZstdError
 
 from core.robot.robot import Array
 from station.control.telemetry import Channel
-from station.recording.data_section import MESSAGE_HEADER_BYTES, TELEMETRY_TOPIC, RowFormat
+from station.recording.chunks import DAMAGE, chunks_with, messages
+from station.recording.data_section import TELEMETRY_TOPIC
 from station.recording.foxglove import EVENTS_TOPIC, RecordedEvent, event_of
-from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, is_later, row_format, values_of
+from station.recording.metadata import CHANNELS_RECORD, RUN_RECORD, is_later, row_format, texts, values_of
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.summary import RECORD_HEADER_BYTES, RESULT_RECORD
+from station.recording.salvage import is_outcome, is_recording, salvage
+from station.recording.summary import RESULT_RECORD, ends_intact
+from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
 from station.regular_file import open_in
 
 #: Largest number of rows from which the errors of a run are computed: every tick of half an hour. Of a longer run only
 #: every n-th row is used.
 MAX_SUMMARY_ROWS = 1_000_000
+#: Cause in a recording whose own outcome cannot be read.
+END_DAMAGED = "the end of the recording is damaged or missing"
 
 
 class CaseRecording(NamedTuple):
@@ -42,6 +41,7 @@ class CaseRecording(NamedTuple):
     cause: str  #: reason why the run is not complete
     stride: int = 1  #: n if `rows` has only every n-th tick
     epoch: int = 0  #: wall time at which the rows' time was 0 [ns since 1970]; 0 without rows
+    gaps: "tuple[Gap, ...]" = ()  #: damaged rows that are missing
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group; `tip_measured` has (ticks, 3).
@@ -52,24 +52,27 @@ class CaseRecording(NamedTuple):
         return self.rows[:, columns(self.channels, group)]
 
 
-class CaseReader:
-    """Recording that is open for reading; its rows are read on demand."""
+class Gap(NamedTuple):
+    """Rows of a recording that are damaged and were skipped."""
 
-    def __init__(self, path: Path, file: IO[bytes]) -> None:
+    rows: int
+    after: float | None  #: time of the row before them [s]; None: they are the first rows
+    before: float | None  #: time of the row after them [s]; None: they are the last rows
+
+
+class CaseReader:
+    """Recording that is open for reading; its rows are read on demand. Damaged chunks are skipped, see `gaps`."""
+
+    def __init__(self, path: Path, recording: "IndexedFile") -> None:
         """Read everything in the recording except the rows.
 
         Raises:
-            RecordingError: the file is damaged, unfinished, of a later format, or not a recording of this program.
+            RecordingError: the file is damaged before its first row, of a later format, or not a recording of this
+                program.
         """
-        self._path, self._file = path, file
-        with _undamaged(path):
-            self._reader = make_reader(file, validate_crcs=True)
-            summary = self._reader.get_summary()
-            if summary is None or summary.statistics is None:
-                raise RecordingError(f"{path}: not a finished recording; the next start of the station recovers it")
-            self._summary: Summary = summary
-            self._topics = {topic.topic: number for number, topic in summary.channels.items()}
-            written = {record.name: record.metadata for record in self._reader.iter_metadata()}
+        self._path, self._recording = path, recording
+        with undamaged(path):
+            written = recording.metadata
             self.metadata: Mapping[str, Any] = values_of(written[RUN_RECORD])
             if later := is_later(self.metadata):
                 raise RecordingError(f"{path}: {later}")
@@ -79,47 +82,124 @@ class CaseReader:
             #: processor time of the recorder.
             self.result: Mapping[str, Any] = values_of(written[RESULT_RECORD])
             self.label, self.cause = RunOutcome(self.result["label"]), str(self.result["cause"])
-            #: Number of telemetry rows in the recording.
-            self.ticks = summary.statistics.channel_message_counts.get(self._topics[TELEMETRY_TOPIC], 0)
+            #: Number of telemetry rows in the recording, including those in damaged chunks.
+            self.ticks = recording.counts[TELEMETRY_TOPIC]
+            self._gaps: tuple[Gap, ...] | None = None
 
     def blocks(self) -> Iterator[Array]:
-        """Yield all rows in the recorded order, the rows of one chunk at a time: (n, channels).
+        """Yield all intact rows in the recorded order, the rows of one chunk at a time: (n, channels)."""
+        for block in self._blocks():
+            yield block.rows
 
-        Raises:
-            RecordingError: a chunk is damaged.
-        """
-        topic = self._topics[TELEMETRY_TOPIC]
-        for index in sorted(self._summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
-            if topic not in index.message_index_offsets:
-                continue  # this chunk has only drawings or events
-            with _undamaged(self._path):
-                self._file.seek(index.chunk_start_offset + RECORD_HEADER_BYTES)
-                stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)), validate_crc=True)
-                rows = _rows(stream.read(length), topic, self._format)
-            yield rows
+    def gaps(self) -> tuple[Gap, ...]:
+        """Return the gaps between the rows of `blocks`; reads all rows if `blocks` has not yielded all of them."""
+        if self._gaps is None:
+            for _ in self._blocks():
+                pass
+        return self._gaps or ()
 
     def epoch(self) -> int:
-        """Return the wall time at which the rows' time was 0 [ns since 1970]; 0 without rows.
-
-        Raises:
-            RecordingError: a chunk is damaged.
-        """
-        if self.ticks == 0:
-            return 0
-        first = next(self.blocks())[0, columns(self.channels, "time")[0]]
-        with _undamaged(self._path):
-            _, _, message = next(iter(self._reader.iter_messages(topics=TELEMETRY_TOPIC)))
-        return message.log_time - round(1e9 * float(first))
+        """Return the wall time at which the rows' time was 0 [ns since 1970]; 0 without rows."""
+        (time,) = columns(self.channels, "time")
+        return next((block.time - round(1e9 * float(block.rows[0, time])) for block in self._blocks()), 0)
 
     def events(self) -> tuple[RecordedEvent, ...]:
-        """Return all events in the order of their time.
+        """Return all intact events in the order of their time.
 
         Raises:
-            RecordingError: a chunk is damaged.
+            RecordingError: an event is not one of this program.
         """
-        with _undamaged(self._path):
-            found = self._reader.iter_messages(topics=EVENTS_TOPIC)
-            return tuple(event_of(json.loads(message.data)) for _, _, message in found)
+        found = list[tuple[int, bytes]]()
+        with undamaged(self._path):
+            topic = self._recording.topic(EVENTS_TOPIC)
+            for content in filter(None, chunks_with(self._recording.file, self._recording.summary, topic)):
+                found += [(message.time, message.data(content)) for message in messages(content, topic)]
+            found.sort(key=lambda event: event[0])
+            return tuple(event_of(json.loads(data)) for _, data in found)
+
+    def _blocks(self) -> "Iterator[_Block]":
+        topic, (time,) = self._recording.topic(TELEMETRY_TOPIC), columns(self.channels, "time")
+        gaps, expected, after = list[Gap](), 0, None
+        for content in filter(None, chunks_with(self._recording.file, self._recording.summary, topic)):
+            with undamaged(self._path):
+                listed = list(messages(content, topic))
+                rows = self._format.unpack(b"".join(message.data(content) for message in listed))
+                block = _Block(listed[0].time, rows)
+            if (missing := listed[0].sequence - expected) > 0:
+                gaps.append(Gap(missing, after, float(rows[0, time])))
+            expected, after = listed[-1].sequence + 1, float(rows[-1, time])
+            yield block
+        if self.ticks > expected:
+            gaps.append(Gap(self.ticks - expected, after, None))
+        self._gaps = tuple(gaps)
+
+
+class _Block(NamedTuple):
+    """Rows of one chunk."""
+
+    time: int  #: wall time of its first row [ns since 1970]
+    rows: Array
+
+
+def missing_rows(gaps: Sequence[Gap]) -> str:
+    """Return a text with number and times of the rows in gaps; empty if there is no gap."""
+    if not gaps:
+        return ""
+    return f"{sum(gap.rows for gap in gaps)} rows are damaged and missing: {', '.join(map(_between, gaps))}"
+
+
+def _between(gap: Gap) -> str:
+    if gap.after is None:
+        return "all" if gap.before is None else f"before {gap.before:.3f} s"
+    return f"after {gap.after:.3f} s" if gap.before is None else f"{gap.after:.3f} to {gap.before:.3f} s"
+
+
+class IndexedFile(NamedTuple):
+    """Recording with an intact index."""
+
+    file: IO[bytes]  #: the recording, or a complete copy
+    summary: Summary
+    counts: Mapping[str, int]  #: number of messages by topic
+    metadata: Mapping[str, Mapping[str, str]]  #: metadata records by name
+
+    def topic(self, name: str) -> int:
+        """Return the number of a topic; raise KeyError if the recording does not have it."""
+        return {topic.topic: number for number, topic in self.summary.channels.items()}[name]
+
+
+@contextmanager
+def indexed(file: IO[bytes]) -> Iterator[IndexedFile]:
+    """Provide a recording with its index; if the end of the file is damaged, a complete copy in a temporary file.
+
+    Raises:
+        OSError, or one of `chunks.DAMAGE`: the file is not a recording of this program, or a copy cannot be written.
+    """
+    with ExitStack() as opened:
+        try:
+            found = _indexed(file)
+        except DAMAGE:
+            if not is_recording(file):
+                raise
+            copy = opened.enter_context(tempfile.TemporaryFile())
+            salvage(file, copy, texts({"label": RunOutcome.INTERRUPTED, "cause": END_DAMAGED}))
+            found = _indexed(copy)
+        yield found
+
+
+def _indexed(file: IO[bytes]) -> IndexedFile:
+    if not ends_intact(file):
+        raise ValueError("the end of the file is damaged or missing")
+    file.seek(0)
+    reader = make_reader(file)
+    summary = reader.get_summary()
+    if summary is None or summary.statistics is None:
+        raise ValueError("the index is missing")
+    counts = summary.statistics.channel_message_counts
+    by_topic = {topic.topic: counts.get(number, 0) for number, topic in summary.channels.items()}
+    metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    if not is_outcome(metadata.get(RESULT_RECORD, {})):
+        raise ValueError("the outcome is damaged or missing")
+    return IndexedFile(file, summary, by_topic, metadata)
 
 
 @contextmanager
@@ -127,22 +207,28 @@ def open_case(path: Path) -> Iterator[CaseReader]:
     """Open a recording for reading block by block.
 
     Raises:
-        RecordingError: the file does not exist, is no regular file, is damaged, or was never finished.
+        RecordingError: the file does not exist, is no regular file or recording, was never finished, or is damaged
+            before its first row.
     """
     try:
         file = open_in(path.parent, path.name)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
-    with file:
-        yield CaseReader(path, file)
+    with ExitStack() as opened:
+        opened.enter_context(file)
+        if path.name.endswith((PARTIAL_SUFFIX, FULL_SUFFIX)):
+            raise RecordingError(f"{path}: not a finished recording; the next start of the station recovers it")
+        with undamaged(path):
+            recording = opened.enter_context(indexed(file))
+        yield CaseReader(path, recording)
 
 
 @contextmanager
-def _undamaged(path: Path) -> Iterator[None]:
+def undamaged(path: Path) -> Iterator[None]:
+    """Raise RecordingError instead of the exceptions of reading a damaged file in the block."""
     try:
         yield
-    # The mcap library does not document which exceptions a damaged file causes, so several types are caught.
-    except (McapError, ZstdError, OSError, ValueError, KeyError, IndexError, struct.error) as error:
+    except (*DAMAGE, OSError) as error:
         raise RecordingError(f"{path}: not a recording of this program, or damaged: {error!r}") from None
 
 
@@ -155,7 +241,7 @@ def read_case(path: Path, max_rows: int | None = None, groups: Container[str] | 
         groups: groups of channels to return; None: all channels.
 
     Raises:
-        RecordingError: the file does not exist, is damaged, or was never finished.
+        RecordingError: as `open_case`.
     """
     with open_case(path) as case:
         stride = 1 if max_rows is None else max(1, -(-case.ticks // max_rows))
@@ -168,7 +254,17 @@ def read_case(path: Path, max_rows: int | None = None, groups: Container[str] | 
             some = block[-passed % stride :: stride]
             rows[filled : filled + len(some)] = some if groups is None else some[:, kept]
             passed, filled = passed + len(block), filled + len(some)
-        return CaseRecording(channels, rows, case.events(), case.metadata, case.label, case.cause, stride, case.epoch())
+        return CaseRecording(
+            channels,
+            rows[:filled],
+            case.events(),
+            case.metadata,
+            case.label,
+            case.cause,
+            stride,
+            case.epoch(),
+            case.gaps(),
+        )
 
 
 def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
@@ -181,21 +277,3 @@ def columns(channels: tuple[Channel, ...], group: str) -> list[int]:
     if not found:
         raise RecordingError(f"the recording has no channels '{group}'")
     return found
-
-
-def _rows(content: bytes, topic: int, rows: RowFormat) -> Array:
-    """Return the telemetry rows (n, channels) in the decompressed content of a chunk."""
-    found: list[bytes] = []
-    offset = 0
-    while offset < len(content):
-        length = int.from_bytes(content[offset + 1 : offset + RECORD_HEADER_BYTES], "little")
-        end = offset + RECORD_HEADER_BYTES + length
-        if (
-            content[offset] == Opcode.MESSAGE
-            and content[offset + RECORD_HEADER_BYTES] + 256 * content[offset + RECORD_HEADER_BYTES + 1] == topic
-        ):
-            found.append(content[offset + MESSAGE_HEADER_BYTES : end])
-            if len(found[-1]) != rows.dtype.itemsize:
-                raise ValueError(f"a row of {len(found[-1])} bytes instead of {rows.dtype.itemsize}")
-        offset = end
-    return rows.unpack(b"".join(found))

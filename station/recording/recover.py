@@ -1,63 +1,66 @@
 """Recovery of recordings whose writer was killed.
 
-A recovery cuts the file after its last complete chunk, adds the index and a label, and renames it. It takes place when
-a command starts the next time. A recovery that is killed can be repeated, because it never changes a chunk.
+A recovery takes place when a command starts the next time. It writes a complete copy of each recording (`salvage.py`),
+which then replaces the unfinished file. Until then this file is not changed, so a killed recovery can be repeated. Only
+what this program has written is recovered: run folders with its mark, and videos with its first bytes.
 """
 
 import contextlib
+import fcntl
 import json
 import os
-import shutil
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from mcap.exceptions import McapError
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 
+from station.recording.data_section import sync_folder
 from station.recording.metadata import RUN_RECORD, is_later, texts, values_of
-from station.recording.read import open_case
+from station.recording.read import missing_rows, open_case
 from station.recording.run_folder import (
     EXPERIMENT_FILE,
+    MARK_FILE,
     RECORDING_SUFFIX,
     SUMMARY_FILE,
     VIDEOS_FOLDER,
+    free_path,
+    is_unfinished_run,
     lock_folder,
     recordings,
+    replacing,
+    unfinished_recordings,
     write_json,
 )
 from station.recording.run_outcome import RecordingError, RunOutcome
-from station.recording.summary import finish_file
+from station.recording.salvage import is_empty_recording, is_recording, salvage
 from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
-from station.regular_file import is_regular, open_in
+from station.regular_file import open_in
 
 CAUSES = {
-    RunOutcome.INTERRUPTED: "the recording process ended; recovered up to the last chunk that reached the disk",
+    RunOutcome.INTERRUPTED: "the recording process ended; every intact row that reached the disk was recovered",
     RunOutcome.INCOMPLETE: "the disk was full",
 }
-#: Files and folders that the folder of an unfinished run without a recording may have.
-RUN_FILES = {EXPERIMENT_FILE, SUMMARY_FILE, VIDEOS_FOLDER}
 
 
-def recover(runs: Path) -> list[Path]:
-    """Finish every run that no process writes any more, except runs of a later ctr-station (see `unrecoverable`).
+class Recovery(NamedTuple):
+    """Result of a recovery."""
 
-    Args:
-        runs: folder of the runs; it need not exist.
+    folders: list[Path]  #: folders of the recovered runs, with their final names
+    problems: list[str]  #: a message with instructions for each run or video that stays unfinished
 
-    Returns:
-        The recovered folders with their final names.
 
-    Raises:
-        RecordingError: the disk is full; a later attempt can finish the runs without loss.
-    """
-    recovered: list[Path] = []
-    for folder in _unfinished(runs):
+def recover(runs: Path) -> Recovery:
+    """Finish every run and video in a folder that no process writes any more; `runs` need not exist."""
+    found = Recovery([], [])
+    for folder in sorted(filter(is_unfinished_run, runs.glob(f"*{PARTIAL_SUFFIX}"))):
         try:
-            if _of_later(folder):
-                continue  # this version does not know the format of the run
+            if later := _of_later(folder):
+                found.problems.append(f"{folder}: interrupted, and not recovered: {later}")
+                continue
             lock = lock_folder(folder)
             if lock is None:
                 continue  # another process is writing this run
@@ -66,50 +69,44 @@ def recover(runs: Path) -> list[Path]:
             finally:
                 os.close(lock)
         except OSError as error:
-            raise RecordingError(f"{folder}: cannot be recovered: {error.strerror}") from None
+            found.problems.append(_problem(folder, error))
+            continue
         if done is not None:
-            recovered.append(done)
-    _recover_videos(runs)
-    return recovered
+            found.folders.append(done)
+    for folder in sorted(runs.glob(f"*/{VIDEOS_FOLDER}")):
+        if not (folder.is_symlink() or folder.parent.is_symlink()) and (left := unfinished_recordings(folder)):
+            try:
+                _recover_videos(folder, left)
+            except OSError as error:
+                found.problems.append(_problem(folder, error))
+    return found
 
 
-def _unfinished(runs: Path) -> list[Path]:
-    """Return the folders of unfinished runs; links and files are left out."""
-    return sorted(path for path in runs.glob(f"*{PARTIAL_SUFFIX}") if path.is_dir() and not path.is_symlink())
+def _recover_videos(folder: Path, left: list[Path]) -> None:
+    lock = lock_folder(folder)
+    if lock is None:
+        return  # another recovery finishes these videos
+    try:
+        for path in left:
+            recover_file(path)
+    finally:
+        os.close(lock)
 
 
-def _recover_videos(runs: Path) -> None:
-    """Finish the videos of cameras that were killed, also those of complete runs."""
-    for left in sorted(runs.glob(f"*/{VIDEOS_FOLDER}/*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}")):
-        if not is_regular(left) or left.parent.is_symlink() or left.parent.parent.is_symlink():
-            continue  # a link may point to files of another program
-        try:
-            recover_file(left)
-        except BlockingIOError:
-            continue  # a camera is writing this video
-        except OSError as error:
-            raise RecordingError(f"{left}: cannot be recovered: {error.strerror}") from None
-
-
-def unrecoverable(runs: Path) -> list[str]:
-    """Return a message with instructions for each interrupted run that only a later ctr-station can finish."""
-    return [
-        f"{folder}: interrupted, and not recovered: {why}" for folder in _unfinished(runs) if (why := _of_later(folder))
-    ]
+def _problem(path: Path, error: OSError) -> str:
+    return (
+        f"{path}: interrupted, and not recovered: {error.strerror}. Nothing of it is lost: the next start of"
+        " ctr-station recovers it if it may write there and the disk has space for a copy of the recording"
+    )
 
 
 def _of_later(folder: Path) -> str:
     """Return why this version of ctr-station cannot finish the recordings in a folder; empty if it can."""
-    for path in sorted(folder.glob(f"*{RECORDING_SUFFIX}*")):
+    for path in (*unfinished_recordings(folder), *recordings(folder)):
         with contextlib.suppress(OSError), open_in(folder, path.name) as file:
             if later := is_later(_run(file)):
                 return f"{path.name}: {later}"
     return ""
-
-
-def _left(folder: Path) -> list[Path]:
-    left = (*folder.glob(f"*{RECORDING_SUFFIX}{PARTIAL_SUFFIX}"), *folder.glob(f"*{RECORDING_SUFFIX}{FULL_SUFFIX}"))
-    return sorted(filter(is_regular, left))
 
 
 def _run(file: IO[bytes]) -> Mapping[str, Any]:
@@ -126,56 +123,88 @@ def _run(file: IO[bytes]) -> Mapping[str, Any]:
 
 
 def recover_file(left: Path) -> Path | None:
-    """Finish one recording of a killed writer and return its path; None if nothing had reached the disk.
+    """Finish a recording of a killed writer and return its path. The caller has locked the file's folder.
+
+    Return None if there is nothing to finish: another process writes the file, this program has not written it, or its
+    writer was killed before anything reached the disk.
 
     Raises:
-        OSError: the file cannot be written.
+        OSError: the complete copy cannot be written; the file is unchanged.
     """
     suffix = FULL_SUFFIX if left.name.endswith(FULL_SUFFIX) else PARTIAL_SUFFIX
     label = RunOutcome.INCOMPLETE if suffix == FULL_SUFFIX else RunOutcome.INTERRUPTED
-    result = {"label": label, "cause": CAUSES[label], "ended": left.stat().st_mtime}
     try:
-        finish_file(left, texts(result), verify=True)
-    except RecordingError:
-        left.unlink()
-        return None
-    whole = left.with_name(left.name.removesuffix(suffix))
+        source = open_in(left.parent, left.name)
+    except FileNotFoundError:
+        return None  # another recovery has just finished it
+    with source:
+        try:
+            fcntl.flock(source, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return None
+        if not is_recording(source):
+            return None
+        result = {"label": label, "cause": CAUSES[label], "ended": os.fstat(source.fileno()).st_mtime}
+        with replacing(left) as copy, copy.open("wb") as target:
+            salvage(source, target, texts(result))
+            os.fsync(target.fileno())
+    whole = free_path(left.with_name(left.name.removesuffix(suffix)), RECORDING_SUFFIX)
     left.rename(whole)
+    sync_folder(whole.parent)
     return whole
 
 
 def _recover_folder(folder: Path) -> Path | None:
-    for left in _left(folder):
+    for left in unfinished_recordings(folder):
         recover_file(left)
     found = recordings(folder)
-    if not found:
-        if {path.name for path in folder.iterdir()} <= RUN_FILES:  # otherwise it is a folder of the user
-            shutil.rmtree(folder)
+    if not found and _removed(folder):
         return None
     if not (folder / SUMMARY_FILE).exists():
-        write_json(folder / SUMMARY_FILE, _summary(found))
-    target = folder.with_name(folder.name.removesuffix(PARTIAL_SUFFIX))
-    number = 2
-    while target.exists():
-        target, number = folder.with_name(f"{folder.name.removesuffix(PARTIAL_SUFFIX)}-{number}"), number + 1
+        write_json(folder / SUMMARY_FILE, _summary(folder, found))
+    target = free_path(folder.with_name(folder.name.removesuffix(PARTIAL_SUFFIX)))
     folder.rename(target)
+    (target / MARK_FILE).unlink()
     return target
 
 
-def _summary(found: list[Path]) -> Mapping[str, Any]:
+def _removed(folder: Path) -> bool:
+    """Remove the folder of a run that recorded nothing; return False if it has anything else, for example a note."""
+    empty: list[Path] = []
+    for left in unfinished_recordings(folder):
+        with open_in(folder, left.name) as file:
+            if is_empty_recording(file):
+                empty.append(left)
+    with contextlib.suppress(OSError):
+        (folder / VIDEOS_FOLDER).rmdir()
+    if {path.name for path in folder.iterdir()} - {path.name for path in empty} - {EXPERIMENT_FILE, MARK_FILE}:
+        return False
+    for path in (*empty, folder / EXPERIMENT_FILE, folder / MARK_FILE):
+        path.unlink(missing_ok=True)
+    folder.rmdir()
+    return True
+
+
+def _summary(folder: Path, found: list[Path]) -> Mapping[str, Any]:
     """Return a summary of a recovered run, computed from its recordings."""
     cases: dict[str, Any] = {}
     labels: list[RunOutcome] = []
+    causes: list[str] = []
     run: Mapping[str, Any] = {}
     for path in found:
         try:
             with open_case(path) as case:
                 run = case.metadata
                 labels.append(case.label)
-                cases[path.stem] = {"completed": case.label is RunOutcome.COMPLETE, "cause": case.cause}
+                missing = missing_rows(case.gaps())
+                cause = "; ".join(filter(None, (case.cause, missing)))
+                cases[path.stem] = {"completed": case.label is RunOutcome.COMPLETE, "cause": cause}
+                causes += [f"{path.stem}: {missing}"] if missing else []
         except RecordingError as error:  # one damaged recording must not prevent the station's start
             cases[path.stem] = {"completed": False, "cause": str(error)}
+    causes += [f"{left.name} cannot be read" for left in unfinished_recordings(folder)]
     # The run is never labelled complete: it did not reach its end, even if all recorded cases did.
     label = RunOutcome.INCOMPLETE if RunOutcome.INCOMPLETE in labels else RunOutcome.INTERRUPTED
     kept = {key: run[key] for key in ("experiment", "title", "seed", "started") if key in run}
-    return json.loads(json.dumps({**kept, "label": label, "cause": CAUSES[label], "completed": False, "cases": cases}))
+    cause = "; ".join((CAUSES[label], *causes))
+    return json.loads(json.dumps({**kept, "label": label, "cause": cause, "completed": False, "cases": cases}))

@@ -16,11 +16,14 @@ from typing import Any
 
 from station.recording.data_section import sync_folder
 from station.recording.run_outcome import RecordingError
-from station.recording.writer import PARTIAL_SUFFIX
-from station.regular_file import is_regular, open_folder
+from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
+from station.regular_file import is_hidden, is_regular, open_folder, read_in
 
 SUMMARY_FILE = "summary.json"
 EXPERIMENT_FILE = "experiment.toml"
+#: File in the folder of a run that has not ended, and how it starts. Only folders with this file are recovered.
+MARK_FILE = ".unfinished-run"
+MARK_TEXT = "ctr-station: this run has not ended. If its station ended, the next start of ctr-station finishes it.\n"
 RECORDING_SUFFIX = ".mcap"
 #: Folder in the run's folder with the videos of the cameras, `NAME.mcap`; it is separate, because every file
 #: `*.mcap` in the run's folder is a case.
@@ -58,12 +61,12 @@ class RunFolder:
                     self.partial.mkdir()
                 except FileExistsError:
                     continue
-                # A recovery in another process may have removed the new folder while it was empty and unlocked.
                 self._lock = lock_folder(self.partial)
-                if self._lock is not None and not self.path.exists():
+                if self._lock is not None and not os.path.lexists(self.path):
+                    (self.partial / MARK_FILE).write_text(MARK_TEXT, encoding="utf-8")
                     break
                 self.let_go()
-                with contextlib.suppress(FileNotFoundError):
+                with contextlib.suppress(OSError):  # the user may have put a file into it
                     self.partial.rmdir()
         self.started = time.time()  #: start of the run [s since 1970]
 
@@ -90,9 +93,10 @@ class RunFolder:
         try:
             with self._written():
                 write_json(self.partial / SUMMARY_FILE, summary)
-                if left := [path.name for path in self.partial.glob(f"*{RECORDING_SUFFIX}.*")]:
-                    raise RecordingError(f"{self.partial}: {left[0]} is not finished; the next start recovers it")
+                if left := unfinished_recordings(self.partial):
+                    raise RecordingError(f"{self.partial}: {left[0].name} is not finished; the next start recovers it")
                 self.partial.rename(self.path)
+                (self.path / MARK_FILE).unlink(missing_ok=True)
                 sync_folder(self._runs)
         finally:
             self.let_go()
@@ -175,26 +179,77 @@ def write_atomically(text: str, path: Path) -> Path:
     Raises:
         OSError: the file cannot be written, for example because the disk is full.
     """
+    with replacing(path) as whole:
+        whole.write_text(text, encoding="utf-8")
+    return path
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Provide the path of an empty new file, which replaces `path` after the block; after an error it is removed.
+
+    Its name differs from that of every other file, so nothing of the user is overwritten or in the way.
+
+    Raises:
+        OSError: the file cannot be created, or cannot replace `path`.
+    """
     whole = path.with_name(f".{path.name[:MAX_STEM_CHARS]}-{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
-    with whole.open("x", encoding="utf-8") as file:  # outside of `try`: a file that exists is not ours to remove
-        try:
-            file.write(text)
-            file.flush()
-            return whole.replace(path)
-        except BaseException:
-            whole.unlink(missing_ok=True)
-            raise
+    whole.open("xb").close()  # outside of `try`: a file that exists is not ours to remove
+    try:
+        yield whole
+        whole.replace(path)
+    except BaseException:
+        whole.unlink(missing_ok=True)
+        raise
+
+
+def free_path(path: Path, suffix: str = "") -> Path:
+    """Return the path of a new file or folder: `path`, or with the first free number, for example `a-2.mcap`."""
+    found, numbers = path, itertools.count(2)
+    while os.path.lexists(found):
+        found = path.with_name(f"{path.name.removesuffix(suffix)}-{next(numbers)}{suffix}")
+    return found
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the recordings of a run's cases, sorted by name; links and names that are not UTF-8 are left out."""
-    return sorted(path for path in folder.glob(f"*{RECORDING_SUFFIX}") if has_utf8_name(path) and is_regular(path))
+    """Return the recordings of a run's cases, sorted by name; links, hidden files and bytes not UTF-8 are left out."""
+    return _files(folder, f"*{RECORDING_SUFFIX}")
+
+
+def unfinished_recordings(folder: Path) -> list[Path]:
+    """Return the recordings in a folder that are being written, or whose writer was killed or had a full disk."""
+    return [
+        path
+        for suffix in (FULL_SUFFIX, PARTIAL_SUFFIX)
+        for path in _files(folder, f"*{RECORDING_SUFFIX}{suffix}")
+    ]  # fmt: skip
+
+
+def is_unfinished_run(folder: Path) -> bool:
+    """Return whether a folder is that of a run that has not ended: it has the provisional name and the mark."""
+    try:
+        return (
+            folder.name.removesuffix(PARTIAL_SUFFIX) not in ("", folder.name)
+            and not folder.is_symlink()
+            and read_in(folder, MARK_FILE).startswith(MARK_TEXT[:11].encode())
+        )
+    except OSError:
+        return False
+
+
+def _files(folder: Path, pattern: str) -> list[Path]:
+    """Return regular files; macOS writes a hidden file `._NAME` next to each file of some disks."""
+    return sorted(
+        path
+        for path in folder.glob(pattern)
+        if not is_hidden(path) and has_utf8_name(path) and is_regular(path)
+    )
 
 
 def video_files(folder: Path) -> list[Path]:
     """Return the finished videos of a run, sorted by name; links are left out."""
     inside = folder / VIDEOS_FOLDER
-    return [] if inside.is_symlink() else sorted(filter(is_regular, inside.glob(f"*{RECORDING_SUFFIX}")))
+    return [] if inside.is_symlink() else _files(inside, f"*{RECORDING_SUFFIX}")
 
 
 def has_utf8_name(path: Path) -> bool:

@@ -142,7 +142,7 @@ class CaseWriter:
         result = {"label": label, "cause": cause, "ended": time.time(), **more}
         try:
             section.close()
-            finish_file(section.path, texts(result), verify=False)
+            finish_file(section.path, texts(result))
             section.path.rename(self.path)
         except OSError as error:
             if label is RunOutcome.INCOMPLETE:

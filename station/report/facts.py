@@ -50,6 +50,9 @@ def head(run: RecordedRun) -> Iterator[str]:
         if not numbers.get("completed", True):
             yield document.paragraph(f"Case '{name}' did not complete: {numbers.get('cause')}", "note")
     for case in run.cases:
+        if case.missing:
+            text = f"Case '{case.name}': {case.missing}, in the time of the recording. Figures have lines there."
+            yield document.paragraph(text, "note")
         if case.stride > 1:
             yield document.paragraph(f"Case '{case.name}' is long: figures show every {case.stride}th tick.", "note")
 

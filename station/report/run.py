@@ -11,13 +11,13 @@ import numpy as np
 
 from core.errors import CtrError
 from core.robot.robot import Array
-from station.config.strict import ConfigError, merged, parse_toml
+from station.config.strict import ConfigError, merged, parse_toml, text_of
 from station.control.task import Phase
 from station.control.telemetry import Channel
 from station.devices.interfaces import ABSENT
 from station.experiments.experiment import variants
 from station.recording.foxglove import MARK
-from station.recording.read import read_case
+from station.recording.read import missing_rows, read_case
 from station.recording.run_folder import EXPERIMENT_FILE, LIVE_CASE, SUMMARY_FILE, recordings
 from station.recording.run_outcome import desired, frame_errors, motion_errors, unknown_axes
 from station.regular_file import is_regular, read_in
@@ -54,6 +54,7 @@ class RecordedCase:
     stride: int = 1  #: n if `rows` has only every n-th tick
     marks: tuple[tuple[float, str], ...] = ()  #: time since the motion's start [s] and text of the operator's marks
     start: int = 0  #: wall time of the motion's start [ns since 1970]
+    missing: str = ""  #: number and times of damaged rows in the time of the recording; empty if there are none
 
     def of(self, group: str) -> Array:
         """Return the columns of a channel group (ticks, columns), such as three for `tip_measured`.
@@ -218,6 +219,7 @@ def _read_case(path: Path, table: Mapping[str, Any], summary: Mapping[str, Any])
         found.stride,
         marks,
         found.epoch + round(1e9 * start),
+        missing_rows(found.gaps),
     )
 
 
@@ -254,7 +256,7 @@ def experiment_text(folder: Path) -> str:
     """
     path = folder / EXPERIMENT_FILE
     try:
-        return read_in(folder, EXPERIMENT_FILE).decode("utf-8-sig")
+        return text_of(read_in(folder, EXPERIMENT_FILE))
     except FileNotFoundError:
         return ""
     except OSError as error:
@@ -270,7 +272,7 @@ def read_json(path: Path) -> Mapping[str, Any]:
         NoRun: the file does not exist, or has no JSON object.
     """
     try:
-        found = json.loads(read_in(path.parent, path.name).decode())
+        found = json.loads(text_of(read_in(path.parent, path.name)))
     except (OSError, ValueError, RecursionError) as error:
         raise NoRun(f"{path}: cannot read the summary of a run: {error}") from None
     if not isinstance(found, dict):

@@ -29,7 +29,7 @@ from station.lab.faults import LabFault
 from station.recording.foxglove import ERROR, INFO, MARK, RecordedEvent
 from station.recording.history import RunError, RunHistory
 from station.recording.recorder import START_TIMEOUT_S, Recorder
-from station.recording.recover import recover, unrecoverable
+from station.recording.recover import recover
 from station.recording.run_folder import VIDEOS_FOLDER, free_space_problem
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import PARTIAL_SUFFIX
@@ -80,8 +80,8 @@ class LiveRecording:
     def __init__(self, ring: Ring, robot: RobotFile, runs: Path, clock: StationClock, videos: float = 0.0) -> None:
         self.runs = runs
         self._videos = videos  # largest growth of the cameras' videos [bytes/s]
-        self.recovered = recover(runs)  #: folders of recovered runs
-        self.not_recoverable = unrecoverable(runs)  #: sentences about runs that cannot be recovered or removed
+        #: Folders of recovered runs, and messages about runs that cannot be recovered or removed.
+        self.recovered, self.not_recoverable = recover(runs)
         try:
             RunHistory(runs).purge()
         except RunError as error:  # too many deleted runs do not prevent the start; the operator is informed

@@ -93,7 +93,7 @@ def kill_recorder(runs: Path, feed: Feed, robot: RobotFile, after: float) -> Lef
         assert "signal 9" in recorder.trouble()
     finally:
         recorder.close()
-    (folder,) = recover(runs)
+    (folder,) = recover(runs).folders
     left = read_case(folder / "run.mcap")
     assert left.label is RunOutcome.INTERRUPTED, (left.label, left.cause)
     start = round(left.rows[0, 0] / PERIOD)

@@ -77,7 +77,7 @@ def test_control_process_stops_the_stages_of_a_killed_station_and_the_next_start
             for pid in (station.process.pid, *(process.pid for process in everybody)):
                 os.kill(pid, signal.SIGKILL)
             assert psutil.wait_procs(everybody, timeout=NET)[1] == []
-    until(lambda: not [path for path in tmp_path.glob("*.partial") if not recover(tmp_path)])
+    until(lambda: not [path for path in tmp_path.glob("*.partial") if not recover(tmp_path).folders])
     found = runs(tmp_path)
     assert len(found) == 2
     assert first in found

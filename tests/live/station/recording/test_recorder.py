@@ -127,7 +127,7 @@ def test_the_recorder_of_a_killed_parent_finishes_its_recording_as_interrupted(t
     read = read_case(runs / "one" / "run.mcap")
     assert (read.label, read.cause) == (RunOutcome.INTERRUPTED, "the station process is gone")
     assert read.rows[-1, 0] >= (written - 1) * PERIOD
-    assert recover(runs) == []
+    assert recover(runs) == ([], [])
 
 
 def test_a_full_disk_ends_the_recording_with_an_unsolicited_message(recorder, feed, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 
 from station.recording.read import read_case
 from station.recording.recover import recover
+from station.recording.run_folder import MARK_FILE, MARK_TEXT
 from station.recording.run_outcome import RunOutcome
 from station.recording.writer import PARTIAL_SUFFIX
 
@@ -19,6 +20,7 @@ import sys, time
 from pathlib import Path
 import numpy as np
 from station.recording.writer import CaseRecorder
+from station.recording.run_folder import MARK_FILE, MARK_TEXT
 from station.recording.run_outcome import RunOutcome
 from station.recording.run_folder import RunFolder
 from station.recording.writer import CaseWriter
@@ -51,7 +53,7 @@ def killed(tmp_path, environment):
         with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == b"written\n"
-            assert recover(runs) == []  # the process that writes this run is still alive
+            assert recover(runs) == ([], [])  # the process that writes this run is still alive
             os.kill(process.pid, number)
         return runs
 
@@ -63,7 +65,7 @@ def test_the_recovery_finishes_labels_and_renames_a_killed_run(killed, number):
     runs = killed(number)
     assert [path.name for path in runs.iterdir()] == [f"one{PARTIAL_SUFFIX}"]
 
-    assert recover(runs) == [runs / "one"]
+    assert recover(runs).folders == [runs / "one"]
     assert sorted(path.name for path in (runs / "one").iterdir()) == [
         "a.mcap",
         "b.mcap",
@@ -80,18 +82,19 @@ def test_the_recovery_finishes_labels_and_renames_a_killed_run(killed, number):
     assert (summary["label"], summary["completed"]) == ("interrupted", False)
     assert summary["cases"]["a"]["completed"]
     assert not summary["cases"]["b"]["completed"]
-    assert recover(runs) == []
+    assert recover(runs) == ([], [])
 
 
 def test_a_second_recovery_changes_nothing_and_overwrites_no_folder(killed):
     runs = killed(signal.SIGKILL)
-    assert recover(runs) == [runs / "one"]
+    assert recover(runs).folders == [runs / "one"]
     before = (runs / "one" / "b.mcap").read_bytes()
     # The state of a recovery that was killed before it renamed the last file and the folder.
     (runs / "one" / "b.mcap").rename(runs / "one" / f"b.mcap{PARTIAL_SUFFIX}")
+    (runs / "one" / MARK_FILE).write_text(MARK_TEXT, encoding="utf-8")
     (runs / "one").rename(runs / f"one{PARTIAL_SUFFIX}")
     (runs / "one").mkdir()
 
-    assert recover(runs) == [runs / "one-2"]
+    assert recover(runs).folders == [runs / "one-2"]
     assert (runs / "one-2" / "b.mcap").read_bytes() == before
     assert list((runs / "one").iterdir()) == []

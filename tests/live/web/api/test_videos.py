@@ -34,7 +34,10 @@ HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the data folder of the station."""
-    return tmp_path_factory.mktemp("data")
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "thesis.partial").mkdir()
+    (folder / "thesis.partial" / "thesis.txt").write_text("the only copy", encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +130,8 @@ def test_killed_station_leaves_a_whole_video(station: Served, data: Path) -> Non
     station.process.wait()
     psutil.wait_procs(processes, 60.0)
 
-    until(lambda: recover(data) or (data / run).is_dir())
+    until(lambda: recover(data).folders or (data / run).is_dir())
     frames = list(decode_frames(data / run / "cameras" / "side.mcap"))
     assert len(frames) > 10
+    # The name of a folder of the user is like that of an unfinished run.
+    assert (data / "thesis.partial" / "thesis.txt").read_text(encoding="utf-8") == "the only copy"

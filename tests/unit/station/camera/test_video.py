@@ -162,6 +162,25 @@ def test_video_of_a_killed_camera_is_recovered_and_a_written_one_is_left_alone(
         writer.close()
 
 
+def test_damaged_part_of_a_video_loses_its_frames_up_to_the_next_key_frame_only(video: Path, tmp_path: Path) -> None:
+    content = video.read_bytes()
+    whole = [frame.time for frame in read_frames(video)]
+    with video.open("rb") as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    assert len(chunks) >= 4
+    for chunk in chunks:
+        middle = chunk.chunk_start_offset + chunk.chunk_length // 2
+        damaged = tmp_path / "damaged.mcap"
+        damaged.write_bytes(content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :])
+        frames = [frame.time for frame in read_frames(damaged)]
+        first, last = chunk.message_start_time, chunk.message_end_time
+        assert [time for time in whole if time < first or time > last + 1_000_000_000] == [
+            time for time in frames if time < first or time > last + 1_000_000_000
+        ]
+        assert not [time for time in frames if first <= time <= last]
+        assert len(list(decode_frames(damaged))) == len(frames)
+
+
 def test_video_survives_the_renaming_of_its_folder(tmp_path: Path, paper_robot: Robot) -> None:
     partial = tmp_path / "run.partial"
     partial.mkdir()

@@ -10,6 +10,7 @@ from scipy.io import loadmat
 
 from station.control.telemetry import Channel
 from station.recording.export import ROW_GROUP_ROWS, Choice, export_case, export_run, matlab_names
+from station.recording.read import missing_rows, read_case
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.writer import CaseWriter
 from tests.harness.recordings import as_recorded
@@ -157,10 +158,12 @@ def test_an_export_without_a_recording_or_a_writable_target_is_refused(tmp_path,
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "mat"])
-def test_the_export_of_a_damaged_recording_leaves_no_file(run, kind):
+def test_the_export_of_a_damaged_recording_names_the_missing_rows(run, kind):
     content = bytearray((run / "one.mcap").read_bytes())
     content[len(content) // 2] ^= 1
     (run / "one.mcap").write_bytes(content)
-    with pytest.raises(RecordingError, match="damaged"):
-        export_run(run, kind, None)
-    assert [path.name for path in run.iterdir()] == ["one.mcap"]
+    damaged: list[str] = []
+    (file,) = export_run(run, kind, None, damaged=damaged.append)
+    assert damaged == [f"{run / 'one.mcap'}: {missing_rows(read_case(run / 'one.mcap').gaps)}"]
+    assert "100 rows are damaged and missing" in damaged[0]
+    assert {path.name for path in run.iterdir()} == {file.name, "one.mcap"}

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import shutil
 import time
 
 import pytest
@@ -74,6 +75,22 @@ def test_a_run_name_never_points_outside_the_folder(history, name):
 def test_a_link_in_the_folder_of_runs_is_not_listed_as_a_run(history, tmp_path):
     (tmp_path / "runs" / "link").symlink_to(tmp_path / "runs" / "first")
     assert ids(history.runs()) == ["third", "second", "first"]
+
+
+@pytest.mark.parametrize("name", [".Trash-1000", "._first", ".#first", ".~lock.first#"])
+def test_a_hidden_folder_is_not_a_run(history, tmp_path, name):
+    shutil.copytree(tmp_path / "runs" / "first", tmp_path / "runs" / name)
+    assert ids(history.runs()) == ["third", "second", "first"]
+    with pytest.raises(RunError, match="not one of the runs"):
+        history.delete(name, name)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_star_keeps_notes_that_an_editor_saved_with_a_byte_order_mark(history, tmp_path, encoding):
+    (tmp_path / "runs" / "first" / NOTES_FILE).write_text('{"notes": "äöü", "mine": 1}', encoding=encoding)
+    assert history.annotate("first", starred=True).notes == "äöü"
+    kept = (tmp_path / "runs" / "first" / NOTES_FILE).read_text(encoding="utf-8")
+    assert json.loads(kept) == {"notes": "äöü", "mine": 1, "starred": True}
 
 
 def test_notes_about_a_run_are_stored_and_replaced(history):

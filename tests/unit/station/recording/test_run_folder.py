@@ -21,7 +21,7 @@ def test_a_run_folder_is_locked_until_it_is_finished(tmp_path):
     folder = RunFolder(tmp_path, "one")
     folder.case("a").write_bytes(b"")
     assert lock_folder(folder.partial) is None
-    assert recover(tmp_path) == []
+    assert recover(tmp_path) == ([], [])
     folder.finish({"completed": True})
 
     assert folder.path == tmp_path / "one"
