@@ -18,7 +18,7 @@ from core.calibration.rigid_transform import CoilAxis, RigidTransform, vector_fr
 from core.calibration.tubes import TubeCalibration
 from core.robot.robot import Array, Robot
 from station.config.robots import RobotFile
-from station.config.strict import FORMAT, ConfigError, Strict, toml_lines, toml_string
+from station.config.strict import FORMAT, ConfigError, Strict, read_text, toml_lines, toml_string
 from station.control.calibrated_robot import (
     DESCRIBED_FILE,
     KINDS,
@@ -61,17 +61,13 @@ def carry_over(known: Path, folder: Path) -> list[Path]:
     Raises:
         ConfigError: a file cannot be read or written.
     """
-    copies: list[Path] = []
     # The residual belongs to the tubes and frames with which it was learned.
     outdated = {RESIDUAL_FILE} if any((folder / name).exists() for name in (REGISTRATION_FILE, ROBOT_FILE)) else set()
-    for name in (*KINDS, DESCRIBED_FILE):
-        if name not in outdated and (known / name).is_file() and not (folder / name).exists():
-            try:
-                text = (known / name).read_text(encoding="utf-8")
-            except OSError as error:
-                raise ConfigError(f"{known / name}: cannot be read: {error.strerror}") from None
-            copies.append(_write(folder / name, text))
-    return copies
+    return [
+        _write(folder / name, read_text(known / name))
+        for name in (*KINDS, DESCRIBED_FILE)
+        if name not in outdated and (known / name).is_file() and not (folder / name).exists()
+    ]
 
 
 def write_registration(

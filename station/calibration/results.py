@@ -11,9 +11,9 @@ from core.errors import CtrError
 from station.calibration.catalogue import PROCEDURES
 from station.calibration.files import REPORT_FILE, REPORT_NUMBERS_FILE, VISITS_FILE
 from station.config.robots import RobotFile
-from station.config.strict import Strict
+from station.config.strict import Strict, text_of
 from station.control.calibrated_robot import LATENCY_FILE, REGISTRATION_FILE, RESIDUAL_FILE, ROBOT_FILE, SENSORS_FILE
-from station.regular_file import is_regular, read_in
+from station.regular_file import is_hidden, is_regular, read_in
 
 
 class CalibrationNumbers(BaseModel):
@@ -97,7 +97,7 @@ class Results:
         if not self._folder.is_dir():
             return
         for path in self._folder.iterdir():
-            if not path.is_symlink() and is_regular(path / REPORT_NUMBERS_FILE):
+            if not path.is_symlink() and not is_hidden(path) and is_regular(path / REPORT_NUMBERS_FILE):
                 yield path
 
 
@@ -122,7 +122,7 @@ def _read(folder: Path) -> StoredCalibration | None:
     try:
         folder.name.encode()  # a name that is not UTF-8 cannot be requested
         # pydantic's JSON parser raises ValueError for half a surrogate pair and for very deeply nested brackets.
-        numbers = CalibrationNumbers.model_validate_json(read_in(folder, REPORT_NUMBERS_FILE))
+        numbers = CalibrationNumbers.model_validate_json(text_of(read_in(folder, REPORT_NUMBERS_FILE)))
     except (OSError, ValueError):
         return None
     if numbers.procedure not in PROCEDURES:

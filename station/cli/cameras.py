@@ -136,8 +136,9 @@ def _views(name: str, folder: Path, camera: "CameraFile | None") -> "Pictured":
     from station.camera.board import Corners
     from station.camera.lens_calibration import Pictured, View
     from station.config.strict import ConfigError
+    from station.regular_file import is_hidden
 
-    paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES)
+    paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURES and not is_hidden(path))
     if not paths:
         raise ConfigError(f"{folder}: no pictures ({', '.join(PICTURES)}); save snapshots of camera '{name}' there")
     corners, views, sizes = Corners(), list[View](), set[tuple[int, int]]()

@@ -7,6 +7,7 @@ the writer may have changed meanwhile are discarded and reported as missed.
 
 import contextlib
 import os
+import re
 import secrets
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
@@ -23,6 +24,7 @@ from station.devices.interfaces import GroundTruth
 
 SEGMENT_PREFIX = "psm_ctr_"  #: start of a segment's name; the pid of the process that created it follows
 SEGMENT_FOLDER = Path("/dev/shm")  # noqa: S108 - folder in which Linux shows segments as files
+_SEGMENT_NAME = re.compile(rf"{SEGMENT_PREFIX}(\d{{1,7}})_[0-9a-f]{{8}}")  # Linux has no pid of more than 7 digits
 
 RING_ROWS = 4096  #: number of rows in the ring: about 8 s at 500 Hz
 HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin counts all values from 5 ms on
@@ -241,11 +243,10 @@ def _new_name() -> str:
 
 def clear_left_behind() -> None:
     """Remove the segments of killed stations, on systems where segments are files (Linux); keep all other segments."""
-    for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}*_*"):
-        process = path.name.removeprefix(SEGMENT_PREFIX).partition("_")[0]
-        # The file may belong to another user, be already gone, or have no pid in its name.
-        with contextlib.suppress(OSError, ValueError):
-            if path.stat().st_uid == os.getuid() and not exists(int(process)):
+    for path in SEGMENT_FOLDER.glob(f"{SEGMENT_PREFIX}*"):
+        name = _SEGMENT_NAME.fullmatch(path.name)
+        with contextlib.suppress(OSError):  # the file belongs to another user, or is already gone
+            if name and path.lstat().st_uid == os.getuid() and not exists(int(name[1])):
                 path.unlink()
 
 

@@ -1,5 +1,6 @@
 """Folder of a sweep: it has one manifest, or one for each part of a sweep on many computers."""
 
+import os
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,9 +10,13 @@ from pathlib import Path
 from station.config.strict import ConfigError, check
 from station.experiments.sweep_plan import SweepPlan
 from station.jobs.manifest import Manifest, Row, difference, read, read_plan, refuse_another
-from station.recording.run_folder import SUMMARY_FILE
+from station.recording.history import SWEEP_FILE
+from station.recording.run_folder import EXPERIMENT_FILE, SUMMARY_FILE
 from station.recording.run_outcome import RecordingError
+from station.regular_file import is_regular
 
+#: Files that a sweep writes next to its manifest, or that a run has.
+RESULT_FILES = (SUMMARY_FILE, EXPERIMENT_FILE, SWEEP_FILE, "report.html")
 MANIFEST_NAME = re.compile(r"manifest(?:-\d+-of-\d+)?\.jsonl")
 
 
@@ -22,8 +27,9 @@ def sweep_manifest(folder: Path, plan: SweepPlan, part: int = 1) -> Manifest[int
         RecordingError: the folder has another sweep, another process carries out this part, or the disk is full.
     """
     existing, about = _manifests(folder), plan.model_dump()
-    if not existing and (folder / SUMMARY_FILE).exists():
-        raise RecordingError(f"{folder}: the folder has the results of a run; choose another folder for the sweep")
+    for name in () if existing else RESULT_FILES:
+        if os.path.lexists(folder / name):  # of a run or of the user
+            raise RecordingError(f"{folder}: the folder has another {name}; choose another folder for the sweep")
     for path in existing:
         refuse_another(path, read_plan(path), about)
     return Manifest(folder / manifest_name(part, plan.parts), about, run_number(plan, part))
@@ -92,11 +98,11 @@ def merged(folder: Path) -> tuple[SweepPlan, list[Row]]:
 def folder_of(out: Path, plan: SweepPlan) -> Path:
     """Return the default folder of a sweep: an existing one with the same, unfinished sweep, or else a new one."""
     check_row = run_number(plan, 1)
-    for folder in sorted(out.glob(f"sweep-{plan.experiment}-*"), reverse=True):
+    found = out.glob(f"sweep-{plan.experiment}-*/{manifest_name(1, 1)}")
+    for path in sorted(filter(is_regular, found), reverse=True):
         with suppress(RecordingError):
-            path = folder / manifest_name(1, 1)
             if difference(read_plan(path), plan.model_dump()) == "" and len(read(path, check_row)[1]) < plan.planned:
-                return folder
+                return path.parent
     name = f"sweep-{plan.experiment}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
     number = 1
     while (folder := out / (name if number == 1 else f"{name}-{number}")).exists():

@@ -162,7 +162,7 @@ def refuse_another(path: Path, stored: Plan | None, plan: Plan) -> None:
 
 
 def _value(path: Path, number: int, line: bytes) -> Mapping[str, Any]:
-    with suppress(ValueError):
+    with suppress(ValueError, RecursionError):
         if isinstance(value := json.loads(line), dict):
             return value
     raise RecordingError(f"{path}, line {number}: not a JSON object; repair it, or choose another folder")

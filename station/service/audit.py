@@ -10,6 +10,7 @@ import csv
 import itertools
 import json
 import os
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -25,7 +26,7 @@ from station.config.strict import Strict
 from station.control.ring import Ring
 from station.control.states import State
 from station.control.telemetry import Channels
-from station.regular_file import open_regular, open_to_append
+from station.regular_file import is_regular, open_regular, open_to_append
 
 
 class RotatingLog:
@@ -240,6 +241,8 @@ STATION, CONTROL_LOOP = "station", "control loop"
 #: Folder of the files with the last second of telemetry, number of rows in a file (one second at 500 Hz), and number
 #: of files that are kept.
 LAST_SECONDS_FOLDER, KEPT_ROWS, KEPT_SECONDS_FILES = "last_seconds", 500, 20
+#: Names of these files: start of the session, number of the failure in it, and state.
+_SECONDS_NAME = re.compile(r"\d{8}-\d{6}-\d{3,}-(hold|fault)\.csv")
 #: States that a failure causes; the last second of telemetry before them is written to a file.
 FAILURE_STATES = (State.HOLD, State.FAULT)
 
@@ -290,7 +293,8 @@ class FlightRecorder:
 
 def _keep(path: Path, rows: Array, channels: Channels, cause: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    for old in sorted(path.parent.glob("*.csv"))[: -(KEPT_SECONDS_FILES - 1)]:
+    ours = (one for one in path.parent.iterdir() if _SECONDS_NAME.fullmatch(one.name) and is_regular(one))
+    for old in sorted(ours)[: -(KEPT_SECONDS_FILES - 1)]:
         old.unlink(missing_ok=True)
     with path.open("x", newline="", encoding="utf-8") as file:
         file.write(f"# {' '.join(cause.split())}\n")

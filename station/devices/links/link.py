@@ -55,7 +55,7 @@ def lock_file(url: str) -> Path:
 
 def clear_left_behind() -> None:
     """Remove the lock files of this user that no process has locked, because killed stations leave them behind."""
-    for path in Path(tempfile.gettempdir()).glob("ctr-station-*.lock"):
+    for path in Path(tempfile.gettempdir()).glob("ctr-station-*%2F*.lock"):  # a device's name has a slash
         with contextlib.suppress(OSError):  # the file is locked, belongs to another user, or was just removed
             if sys.platform != "win32" and path.lstat().st_uid == os.getuid():
                 file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)

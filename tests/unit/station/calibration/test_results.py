@@ -32,8 +32,10 @@ def keep(folder: Path, name: str, **numbers: object) -> Path:
     return path
 
 
-def test_calibrations_are_listed_newest_first_without_damaged_ones(tmp_path):
-    keep(tmp_path, "old", made="2026-01-01T00:00:00+00:00")
+def test_calibrations_are_listed_newest_first_without_damaged_and_hidden_ones(tmp_path):
+    edited = keep(tmp_path, "old", made="2026-01-01T00:00:00+00:00") / "report.json"
+    edited.write_text(edited.read_text(), encoding="utf-16")
+    keep(tmp_path, ".Trash-1000")
     keep(tmp_path, "new", made="2026-02-01T00:00:00+00:00")
     (keep(tmp_path, "cut") / "report.json").write_text('{"procedure": "ax')
     (keep(tmp_path, "other") / "report.json").write_text("[]")

@@ -144,9 +144,10 @@ def test_the_printed_board_has_its_true_size() -> None:
     assert f"h{CHECK_MM}m" in text
 
 
-def test_the_command_names_an_empty_folder_and_a_missing_name(
+def test_the_command_names_a_folder_without_visible_pictures_and_a_missing_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (tmp_path / "._one.jpg").write_bytes(b"\x00\x05\x16\x07")
     assert main(("cameras", "calibrate", f"left={tmp_path}")) == 2
     assert "no pictures" in capsys.readouterr().err
     assert main(("cameras", "calibrate", str(tmp_path))) == 2

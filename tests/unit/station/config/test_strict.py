@@ -27,6 +27,7 @@ from station.config.strict import (
     preset,
     preset_names,
     read_toml,
+    text_of,
     toml_lines,
     use_experiments,
 )
@@ -171,6 +172,13 @@ def test_configuration_that_is_not_text_or_not_a_file_is_refused(tmp_path):
         read_toml(tmp_path)
 
 
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"])
+def test_text_is_read_in_each_unicode_encoding_with_and_without_a_byte_order_mark(encoding, mark):
+    assert text_of(f"{mark}a = 'Röhre 管'\r\nb = 1\r".encode(encoding)) == "a = 'Röhre 管'\nb = 1\n"
+    assert text_of(mark.encode(encoding)) == ""
+
+
 @pytest.mark.parametrize("kind", ["robots", "labs", "experiments"])
 def test_preset_is_found_by_the_name_it_is_listed_with(kind):
     assert preset_names(kind)
@@ -212,6 +220,13 @@ def test_custom_experiments_are_found_by_name_and_replace_those_of_the_station(o
     assert "hold_still" not in preset_names("labs")
     with pytest.raises(ConfigError, match="fig10, follow, hold_still"):
         preset("experiments", "fig99")
+
+
+@pytest.mark.parametrize("name", ["._square.toml", ".#square.toml", ".~lock.square.toml", ".toml"])
+def test_hidden_file_is_not_listed_as_a_custom_experiment(own_experiments, name):
+    listed = preset_names("experiments")
+    (own_experiments / name).write_bytes(b"\x00\x05\x16\x07")
+    assert preset_names("experiments") == listed
 
 
 def test_missing_folder_of_experiments_is_refused(tmp_path):

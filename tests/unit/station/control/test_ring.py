@@ -126,6 +126,8 @@ def test_only_shared_memory_segments_of_killed_stations_are_removed(ring: Ring) 
     others = [
         SEGMENT_FOLDER / f"{SEGMENT_PREFIX}1_0123abcd",
         SEGMENT_FOLDER / f"{SEGMENT_PREFIX}nobody_{gone.pid}",
+        SEGMENT_FOLDER / f"{SEGMENT_PREFIX}{gone.pid}_notes",
+        SEGMENT_FOLDER / f"{SEGMENT_PREFIX}{'9' * 30}_0123abcd",
         SEGMENT_FOLDER / f"psm_{gone.pid}",
     ]
     try:

@@ -1,6 +1,7 @@
 """The folder of a sweep: recognition of the same sweep, and merging of parts."""
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -64,10 +65,12 @@ def test_the_parts_of_a_sweep_are_locked_separately(tmp_path):
         filled(tmp_path, plan, 1, part=2)
 
 
-def test_a_sweep_refuses_the_folder_of_another_run(tmp_path):
-    (tmp_path / "summary.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(RecordingError, match="the folder has the results of a run"):
+@pytest.mark.parametrize("name", ["summary.json", "experiment.toml", "sweep.json", "report.html"])
+def test_a_sweep_refuses_a_folder_in_which_it_would_overwrite_a_file(tmp_path, name):
+    (tmp_path / name).write_text("{}", encoding="utf-8")
+    with pytest.raises(RecordingError, match=f"the folder has another {name}; choose another folder"):
         sweep_manifest(tmp_path, a_plan())
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize(
@@ -132,6 +135,17 @@ def test_merging_a_sweep_with_missing_unfinished_or_foreign_parts_is_refused_wit
     first.write_text('{"sweep": 1}\n', encoding="utf-8")
     with pytest.raises(RecordingError, match="not a manifest of this version"):
         merged(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["file", "empty folder", "FIFO", "text", "brackets"])
+def test_a_sweep_without_a_folder_uses_no_folder_of_the_user(tmp_path, kind):
+    taken = tmp_path / "sweep-own-mine"
+    taken.touch() if kind == "file" else taken.mkdir()
+    if kind == "FIFO":
+        os.mkfifo(taken / "manifest.jsonl")
+    elif kind in ("text", "brackets"):
+        (taken / "manifest.jsonl").write_text({"text": "mine\n", "brackets": "[" * 100_000 + "\n"}[kind])
+    assert not folder_of(tmp_path, a_plan()).exists()
 
 
 def test_the_same_sweep_command_without_a_folder_continues_until_the_sweep_is_done(tmp_path):

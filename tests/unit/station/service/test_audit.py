@@ -194,13 +194,21 @@ def test_hold_adds_a_line_to_the_audit_log_and_a_file_with_the_last_second(ring,
     assert [float(row[0]) for row in (rows[1], rows[-1])] == pytest.approx([0.4, 1.398])
 
 
-def test_flight_recorder_keeps_only_its_newest_files(ring, channels, tmp_path: Path) -> None:
-    recorder = FlightRecorder(ring, channels, None, tmp_path, "session")
+def test_flight_recorder_keeps_only_its_newest_files_and_all_files_of_the_user(ring, channels, tmp_path: Path) -> None:
+    names = ("._x.csv", "20250101-000000-001-hold copy.csv", "20250101-000000-hold.csv", "own.csv")
+    mine = {tmp_path / LAST_SECONDS_FOLDER / name for name in names}
+    folder = tmp_path / LAST_SECONDS_FOLDER / "20250101-000000-001-hold.csv"
+    folder.mkdir(parents=True)
+    for path in mine:
+        path.write_text("mine")
+    recorder = FlightRecorder(ring, channels, None, tmp_path, "20260101-120000")
     for number in range(KEPT_SECONDS_FILES + 5):
         recorder.state(State.FAULT, f"number {number}")
     recorder.close()
-    kept = sorted((tmp_path / LAST_SECONDS_FOLDER).iterdir())
+    found = set((tmp_path / LAST_SECONDS_FOLDER).iterdir())
+    kept = sorted(found - mine - {folder})
 
+    assert found > mine | {folder}
     assert len(kept) == KEPT_SECONDS_FILES
     assert kept[-1].read_text().startswith(f"# number {KEPT_SECONDS_FILES + 4}\n")
 

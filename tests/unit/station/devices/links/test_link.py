@@ -119,7 +119,7 @@ def test_write_to_a_port_without_a_reader_raises_without_waiting(by):
 
 def test_unlocked_files_are_removed_and_a_device_in_use_stays_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    left, linked, other = lock_file("/dev/ttyUSB8"), tmp_path / "ctr-station-link.lock", tmp_path / "another.lock"
+    left, linked, other = lock_file("/dev/ttyUSB8"), lock_file("/dev/ttyUSB7"), tmp_path / "ctr-station-notes.lock"
     for path in (left, other):
         path.write_text("123456789")
     linked.symlink_to(other)
