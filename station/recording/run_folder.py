@@ -240,9 +240,7 @@ def is_unfinished_run(folder: Path) -> bool:
 def _files(folder: Path, pattern: str) -> list[Path]:
     """Return regular files; macOS writes a hidden file `._NAME` next to each file of some disks."""
     return sorted(
-        path
-        for path in folder.glob(pattern)
-        if not is_hidden(path) and has_utf8_name(path) and is_regular(path)
+        path for path in folder.glob(pattern) if not is_hidden(path) and has_utf8_name(path) and is_regular(path)
     )
 
 

@@ -31,7 +31,7 @@ COUNTED: Mapping[str, tuple[tuple[str, ...], tuple[str, ...], str]] = {
     # `glossary.md` has the right words.
     "misused_words": (
         ("core/", "station/", "web/", "README", "CONTRIBUTING", "CHANGELOG"), TEXTS,
-        r"(?i)\b(told|tells?|anew|nobody|somebody|whoever|anybody|askew|hardly|heard|beside|wanted|says|said)\b",
+        r"(?i)(?<!\.)\b(told|tells?|anew|nobody|somebody|whoever|anybody|askew|hardly|heard|beside|wanted|says|said)\b",
     ),
 }  # fmt: skip
 
