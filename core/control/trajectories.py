@@ -20,7 +20,13 @@ from core.errors import DescriptionError
 from core.robot.robot import Array
 from core.strict import Direction, Position, Row, Strict
 
-_Rows = tuple[tuple[float, float, float, float], ...]
+#: Largest number of waypoints, or of directions, of a motion; its check on the model takes seconds.
+MAX_WAYPOINTS = 10_000
+#: Rows of a time [s] and a vector. Without `fail_fast` a long list with an invalid row would be validated to its end.
+TimedVectors = Annotated[
+    tuple[Annotated[tuple[float, float, float, float], Row], ...],
+    Field(max_length=MAX_WAYPOINTS, strict=False, fail_fast=True),
+]
 
 ZERO_VELOCITY = np.zeros(3)
 #: Smallest and largest length of a direction vector. The length has no meaning, but its square must be finite.
@@ -68,7 +74,7 @@ MAX_TIME_S, MAX_OFFSET_M = 86_400.0, 10.0
 class Directions:
     """Direction of the tip over time: it rotates from each direction to the next about a fixed axis and stops there."""
 
-    rows: _Rows  #: increasing times [s], each with a vector of any nonzero length; none is opposite to the next
+    rows: TimedVectors  #: increasing times [s], each with a vector of any nonzero length; none is opposite to the next
 
     def __post_init__(self) -> None:
         for time in self.times:
@@ -136,12 +142,12 @@ class Pressed:
 class PointedMotion(Strict):
     """A motion with a desired direction of the tip, for controllers whose task includes the direction."""
 
-    directions: Annotated[tuple[Annotated[tuple[float, float, float, float], Row], ...], Row] = ()
+    directions: TimedVectors = ()
     """time [s] and the desired direction x, y, z of the tip; empty keeps the direction at the start"""
 
     @field_validator("directions")
     @classmethod
-    def _can_be(cls, rows: _Rows) -> _Rows:
+    def _can_be(cls, rows: TimedVectors) -> TimedVectors:
         try:
             directions_of(rows)
         except DescriptionError as error:
@@ -149,7 +155,7 @@ class PointedMotion(Strict):
         return rows
 
 
-def directions_of(rows: _Rows) -> Directions | None:
+def directions_of(rows: TimedVectors) -> Directions | None:
     """Return the direction of the tip over time; None keeps the direction at the start."""
     return Directions(rows) if rows else None
 
@@ -347,24 +353,30 @@ class Waypoints:
         return times, np.ascontiguousarray(np.moveaxis(spline.c, 1, 0))
 
     def _check_limits(self) -> None:
+        """Raise an error for the first piece of the spline that is too fast; all pieces are computed at once."""
         knots, pieces = self._spline
+        c3, c2, c1, _ = pieces[: len(knots) - 1].transpose(1, 2, 0)[:, :, None]  # (3, 1, pieces) each
+        # The acceleration is largest at an end of a spline piece; the speed is sampled finely.
+        since = np.linspace(0.0, np.diff(knots), 33)
+        accelerations = np.linalg.norm(6.0 * c3 * since[[0, -1]] + 2.0 * c2, axis=0)
+        speeds = np.linalg.norm((3.0 * c3 * since + 2.0 * c2) * since + c1, axis=0)
+        jerky = accelerations > self.max_acceleration * (1.0 + 1e-9)
+        fast = speeds > self.max_speed * (1.0 + 1e-9)
+        broken = np.flatnonzero(jerky.any(axis=0) | fast.any(axis=0))
+        if len(broken) == 0:
+            return
+        piece = int(broken[0])
+        if jerky[:, piece].any():
+            at = int(jerky[:, piece].argmax())
+            what = f"acceleration {accelerations[at, piece]:.3g} m/s^2 at {knots[piece + at]:.4g} s"
+            limit = f"{self.max_acceleration:g} m/s^2"
+        else:
+            at = int(speeds[:, piece].argmax())
+            what = f"speed {speeds[at, piece]:.3g} m/s at {knots[piece] + since[at, piece]:.4g} s"
+            limit = f"{self.max_speed:g} m/s"
         # A violation between two waypoints is reported for the second one.
-        for start, end, (c3, c2, c1, _) in zip(knots, knots[1:], pieces, strict=False):
-            # The acceleration is largest at an end of a spline piece; the speed is sampled finely.
-            for time in (0.0, end - start):
-                acceleration = float(np.linalg.norm(6.0 * c3 * time + 2.0 * c2))
-                if acceleration > self.max_acceleration * (1.0 + 1e-9):
-                    raise DescriptionError(
-                        f"waypoints: acceleration {acceleration:.3g} m/s^2 at {start + time:.4g} s is above"
-                        f" {self.max_acceleration:g} m/s^2; give the points around it more time"
-                    ).at(end)
-            since = np.linspace(0.0, end - start, 33)[:, None]
-            speeds = np.linalg.norm((3.0 * c3 * since + 2.0 * c2) * since + c1, axis=1)
-            if speeds.max() > self.max_speed * (1.0 + 1e-9):
-                raise DescriptionError(
-                    f"waypoints: speed {speeds.max():.3g} m/s at {start + since[speeds.argmax(), 0]:.4g} s is above"
-                    f" {self.max_speed:g} m/s; give the points around it more time"
-                ).at(end)
+        text = f"waypoints: {what} is above {limit}; give the points around it more time"
+        raise DescriptionError(text).at(knots[piece + 1])
 
     def setpoint(self, time: float) -> Setpoint:
         """Return a point of the spline; after the last time, return the last waypoint."""

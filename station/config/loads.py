@@ -17,7 +17,7 @@ from core.contract import name_of, numbers, result_of
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.plugins import Setup, made
-from station.config.strict import Direction, NotNegative, Position, Row, Strict
+from station.config.strict import Direction, NotNegative, Position, Strict
 
 GRAVITY = (1.0, 0.0, 0.0)
 #: Largest force of a load [N]: the base sensors saturate at 18 N, and nitinol tubes of a millimetre bear much less.
@@ -27,6 +27,8 @@ SignedForce = Annotated[float, Field(ge=-MAX_FORCE_N, le=MAX_FORCE_N)]
 #: Bounds of the frequencies [Hz] and durations [s] of a load. Inside them the formulas of all loads are accurate.
 Frequency = Annotated[float, Field(ge=1e-3, le=100.0)]
 Time = Annotated[float, Field(ge=0.01, le=1e5)]
+#: Largest number of points between which a load changes linearly.
+MAX_POINTS = 10_000
 
 
 @lru_cache(maxsize=64)
@@ -120,9 +122,9 @@ class RampLoad(_Directed):
     """Linear ramps between points in time; constant after the last."""
 
     kind: Literal["ramps"] = "ramps"
-    times: tuple[NotNegative, ...] = Field(min_length=1, strict=False)
+    times: tuple[NotNegative, ...] = Field(min_length=1, max_length=MAX_POINTS, strict=False, fail_fast=True)
     """times of the points, increasing [s]"""
-    magnitudes: Annotated[tuple[SignedForce, ...], Row]
+    magnitudes: tuple[SignedForce, ...] = Field(max_length=MAX_POINTS, strict=False, fail_fast=True)
     """forces at the points, one for each time; a negative force is opposite to `direction` [N]"""
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from core.control.force_control import Press, without_component
 from core.control.palpation import Palpation
 from core.control.reachability import check_pose, check_reach
 from core.control.trajectories import (
+    MAX_WAYPOINTS,
     CircleMotion,
     HelixMotion,
     HoldMotion,
@@ -23,6 +24,7 @@ from core.control.trajectories import (
     Setpoint,
     SinusoidMotion,
     StepMotion,
+    TimedVectors,
     Trajectory,
     Waypoints,
     directions_of,
@@ -32,15 +34,19 @@ from core.model.statics import Statics
 from core.robot.limits import Limits
 from core.robot.robot import Array, Robot
 from station.config.controllers import ControllerFile
-from station.config.strict import ConfigError, Direction, Position, Positive, Row, Strict, check, read_text
+from station.config.strict import ConfigError, Direction, Position, Positive, Strict, check, read_text
+
+#: Size that a request with a table of waypoints never exceeds [bytes]: a row of four numbers has at most 106.
+MAX_TABLE_BYTES = 110 * MAX_WAYPOINTS
+#: Largest file of waypoints [bytes]; it is larger, because a character may have four bytes.
+MAX_FILE_BYTES = 4 * MAX_TABLE_BYTES
+_REMEDY = "remove waypoints, or divide the motion into several"
 
 
 class Places(PointedMotion):
     """Waypoints and times as a user has entered them; the tip may be unable to follow them."""
 
-    points: tuple[Annotated[tuple[float, float, float, float], Row], ...] = Field(
-        min_length=1, max_length=10_000, strict=False
-    )
+    points: Annotated[TimedVectors, Field(min_length=1)]
     """time [s] and offset x, y, z from the start tip [m]; the tip reaches the first point at its time"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """largest speed of the tip [m/s]"""
@@ -208,10 +214,12 @@ class CsvMotion(Strict):
         """Return the trajectory that the controller tracks.
 
         Raises:
-            ConfigError: the file cannot be read, or is not a table of waypoints.
+            ConfigError: the file cannot be read, is too large, or is not a table of waypoints.
         """
-        text = read_text(Path(self.file))
-        return waypoints_from_csv(text, self.file, self.max_speed, self.max_acceleration).trajectory()
+        path = Path(self.file)
+        if path.is_file() and (size := path.stat().st_size) > MAX_FILE_BYTES:
+            raise ConfigError(f"{path} has {size} bytes; at most {MAX_FILE_BYTES} are read; {_REMEDY}")
+        return waypoints_from_csv(read_text(path), self.file, self.max_speed, self.max_acceleration).trajectory()
 
 
 def waypoints_from_csv(
@@ -220,15 +228,17 @@ def waypoints_from_csv(
     """Return waypoints from lines of time, x, y, z [s, m]; a header line and empty lines are skipped.
 
     Raises:
-        ConfigError: a line is not four numbers; the message names the source and the line.
+        ConfigError: too many lines, or a line is not four numbers; the message names the source and the line.
     """
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.replace(",", " ").strip()]
+    if lines and lines[0][1].lstrip().lower().startswith("time"):
+        del lines[0]
+    if len(lines) > MAX_WAYPOINTS:
+        raise ConfigError(f"{source}: {len(lines)} waypoints; at most {MAX_WAYPOINTS} are possible; {_REMEDY}")
     points: list[tuple[float, ...]] = []
-    for number, line in enumerate(text.splitlines(), 1):
-        cells = [cell.strip() for cell in line.split(",")]
-        if not any(cells) or (not points and cells[0].lower().startswith("time")):
-            continue
+    for number, line in lines:
         try:
-            point = tuple(float(cell) for cell in cells)
+            point = tuple(float(cell) for cell in line.split(","))
         except ValueError:
             raise ConfigError(f"{source}: line {number}: {line[:60]!r} is not time, x, y, z in numbers") from None
         if len(point) != 4:

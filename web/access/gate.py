@@ -14,11 +14,14 @@ from urllib.parse import parse_qs, quote
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from station.config.motions import MAX_TABLE_BYTES
 from station.control.commands import Stop
 from web.access.identity import Role, Tokens, sender
 
-#: Largest request body [bytes].
-MAX_BODY_BYTES = 64 * 1024
+#: Largest request body [bytes]; that of a motion is larger, but a longer body takes longer to check, which delays STOP.
+MAX_BODY_BYTES, MAX_MOTION_BYTES = 64 * 1024, MAX_TABLE_BYTES
+#: Starts of the paths whose requests contain a motion.
+MOTION_PATHS = ("/api/start", "/api/queue", "/api/trajectory", "/api/waypoints/check", "/api/experiments/")
 COOKIE = "ctr_station"
 CHANGING_METHODS = ("POST", "PUT", "PATCH", "DELETE")
 #: Path at which a page checks that its STOP would be accepted.
@@ -41,7 +44,7 @@ def is_loopback(host: str) -> bool:
 
 
 class _TooLargeError(Exception):
-    """A request's body exceeds `MAX_BODY_BYTES`."""
+    """A request's body exceeds the limit."""
 
 
 class Access:
@@ -125,7 +128,7 @@ class Access:
         if foreign and not (follows_link and headers.get("sec-fetch-dest") not in FRAME_DESTINATIONS):
             return 403, "requests from other sites are refused"
         if scope["type"] == "http" and scope["method"] in CHANGING_METHODS:
-            return _refused_body(headers)
+            return _refused_body(headers, _max_bytes(scope))
         return None
 
     def _is_address(self, host: str) -> bool:
@@ -158,35 +161,39 @@ class Access:
 
     async def _with_limit(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the connection on, but stop reading a body that exceeds the limit or its announced length."""
-        received = 0
+        received, most = 0, _max_bytes(scope)
 
         async def limited() -> Message:
             nonlocal received
             message = await receive()
             received += len(message.get("body", b""))
-            if received > MAX_BODY_BYTES:
+            if received > most:
                 raise _TooLargeError
             return message
 
         async def watched(message: Message) -> None:
             # The answer to an oversized body is sent below, not by the application.
-            if received <= MAX_BODY_BYTES:
+            if received <= most:
                 await send(message)
 
         with contextlib.suppress(_TooLargeError):
             await self._app(scope, limited, watched)
-        if received > MAX_BODY_BYTES:
-            await _refuse(scope, send, 413, f"the body is larger than {MAX_BODY_BYTES} bytes")
+        if received > most:
+            await _refuse(scope, send, 413, f"the body is larger than {most} bytes")
 
 
-def _refused_body(headers: Headers) -> tuple[int, str] | None:
+def _max_bytes(scope: Scope) -> int:
+    return MAX_MOTION_BYTES if scope["path"].startswith(MOTION_PATHS) else MAX_BODY_BYTES
+
+
+def _refused_body(headers: Headers, most: int) -> tuple[int, str] | None:
     kind, length = headers.get("content-type"), headers.get("content-length", "0")
     if kind is None and length not in ("", "0"):
         return 415, "the body must be application/json; set the content-type header"
     if kind is not None and kind.split(";")[0].strip().lower() != "application/json":
         return 415, f"content-type '{kind}' is not application/json"
-    if length.isdigit() and int(length) > MAX_BODY_BYTES:
-        return 413, f"the body has {length} bytes; at most {MAX_BODY_BYTES} are allowed"
+    if length.isdigit() and int(length) > most:
+        return 413, f"the body has {length} bytes; at most {most} are allowed"
     return None
 
 

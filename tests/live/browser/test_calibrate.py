@@ -172,6 +172,10 @@ def test_tube_exchange_shows_a_checklist_for_the_selected_robot(calibrate: Page,
         {"name": "own.toml", "mimeType": "application/toml", "buffer": text.encode()}
     )
     page.locator(".todo li", has_text="The coil was removed").wait_for()
+    page.get_by_label("robot's file").set_input_files(
+        {"name": "large.toml", "mimeType": "application/toml", "buffer": bytes(2_000_000)}
+    )
+    page.locator(".note", has_text="The file has 2000000 bytes; a robot's file has at most 50000").wait_for()
     page.locator(".todo").get_by_role("button", name="Tracker").click()
     page.get_by_role("button", name="Start: Tracker").wait_for()
 

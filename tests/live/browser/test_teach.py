@@ -42,9 +42,13 @@ def table(page: Page) -> list[list[float]]:
 
 def take(page: Page, points: list[list[float]]) -> None:
     """Load a CSV file of `points` [s, m] into the table."""
-    file = "time [s], x [m], y [m], z [m]\n" + "\n".join(", ".join(map(str, row)) for row in points)
-    page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": file.encode()})
+    choose(page, "time [s], x [m], y [m], z [m]\n" + "\n".join(", ".join(map(str, row)) for row in points))
     page.locator("tr.place").nth(len(points) - 1).wait_for()
+
+
+def choose(page: Page, text: str) -> None:
+    """Choose a CSV file with this text."""
+    page.get_by_label("CSV file").set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": text.encode()})
 
 
 def go(station: Served, pose: dict[str, float]) -> None:
@@ -156,9 +160,7 @@ def test_waypoint_csv_file_is_read_in_its_unit_and_saved_again(teach: Page) -> N
     with teach.expect_download() as download:
         teach.get_by_role("button", name="Save as CSV").click()
     assert download.value.path().read_text() == "time [s], x [mm], y [mm], z [mm]\n0, 0, 0, 0\n4, 0, 4, 0\n8, 0, 4, 3\n"
-    teach.get_by_label("CSV file").set_input_files(
-        {"name": "b.csv", "mimeType": "text/csv", "buffer": b"5, 0, 10, 0\n10, 0, 0"}
-    )
+    choose(teach, "5, 0, 10, 0\n10, 0, 0")
     says(teach, "line 2: 3 numbers; a line is time [s], x, y, z")
     assert len(table(teach)) == 3  # the table is unchanged
 
@@ -170,14 +172,14 @@ def test_error_of_a_file_stays_when_the_check_of_the_table_ends(teach: Page) -> 
         take(teach, POINTS)
         while not asked:
             teach.wait_for_timeout(50)
-        teach.get_by_label("CSV file").set_input_files({"name": "b.csv", "mimeType": "text/csv", "buffer": b"5, 0, 10"})
+        choose(teach, "5, 0, 10")
         says(teach, "line 1: 3 numbers; a line is time [s], x, y, z")
         with teach.expect_response("**/api/waypoints/check"):
             asked[0].continue_()
         teach.locator(".way polyline:not(.guess)").first.wait_for(state="attached")  # the checked path is drawn
         says(teach, "line 1: 3 numbers; a line is time [s], x, y, z")
     finally:
-        teach.unroute_all(behavior="wait")
+        teach.unroute("**/api/waypoints/check")  # the route that leaves out the scene stays
 
 
 def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teach: Page, station: Served) -> None:

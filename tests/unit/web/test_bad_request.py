@@ -1,9 +1,14 @@
 """A malformed or oversized REST body, NaN or an unknown field is refused (4xx) with field and reason."""
 
+import json
+import re
 from collections.abc import Iterator
 
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
+
+from core.control.trajectories import MAX_WAYPOINTS
+from web.access.gate import MAX_BODY_BYTES, MAX_MOTION_BYTES
 
 JSON = {"content-type": "application/json"}
 
@@ -113,13 +118,15 @@ def test_a_complete_surrogate_pair_in_a_body_is_accepted(app: TestClient) -> Non
     app.delete("/api/operator")
 
 
-@pytest.mark.parametrize("path", ["/api/start", "/api/stop", "/api/jog"])
-def test_an_oversized_body_is_not_read_to_its_end(app: TestClient, path: str) -> None:
-    huge = b'{"duration": 1' + b" " * 300_000 + b"}"
+@pytest.mark.parametrize(
+    ("path", "most"), [("/api/start", MAX_MOTION_BYTES), ("/api/stop", MAX_BODY_BYTES), ("/api/jog", MAX_BODY_BYTES)]
+)
+def test_an_oversized_body_is_not_read_to_its_end(app: TestClient, path: str, most: int) -> None:
+    huge = b'{"duration": 1' + b" " * most + b"}"
     answer = app.post(path, content=huge, headers=JSON)
 
     assert answer.status_code == 413
-    assert "65536" in answer.json()["error"]
+    assert f"at most {most} " in answer.json()["error"]
     assert app.get("/api/operator").json()["name"] is None  # the refused request made no client operator
 
 
@@ -128,9 +135,43 @@ def test_an_oversized_body_without_a_length_is_not_read_to_its_end(app: TestClie
         for _ in range(50):
             yield b" " * 4096
 
-    answer = app.post("/api/start", content=chunks(), headers=JSON)
+    answer = app.post("/api/jog", content=chunks(), headers=JSON)
     assert answer.status_code == 413
     assert "65536" in answer.json()["error"]
+
+
+def test_every_request_with_a_motion_may_have_the_largest_table_of_waypoints(app: TestClient) -> None:
+    api = app.get("/api/openapi.json").json()
+
+    def schemas(part: object, known: frozenset[str] = frozenset()) -> frozenset[str]:
+        """Return the names of all schemas to which a part of the description refers."""
+        for name in set(re.findall(r"#/components/schemas/([\w-]+)", json.dumps(part))) - known:
+            known = schemas(api["components"]["schemas"][name], known | {name})
+        return known
+
+    bodies = [
+        (method, path)
+        for path, methods in api["paths"].items()
+        for method, call in methods.items()
+        if schemas(call.get("requestBody")) & {"WaypointsMotion", "WaypointCheckIn"}
+    ]
+    assert len(bodies) == 5
+    row = [-1.2345678901234567e-101] * 4  # as long as a row can be
+    body = json.dumps({"points": [row] * MAX_WAYPOINTS}).encode()
+    for method, path in bodies:
+        answer = app.request(method, path.replace("{name}", "mine"), content=body, headers=JSON)
+        assert answer.status_code != 413, path
+
+
+def test_waypoints_beyond_the_limit_are_refused_with_their_number_and_the_limit(app: TestClient) -> None:
+    points = [[0.5 * (number + 1), 0.0, 0.0, 0.0] for number in range(MAX_WAYPOINTS + 1)]
+    for path, body in (
+        ("/api/waypoints/check", {"points": points}),
+        ("/api/start", {"trajectory": {"kind": "waypoints", "points": points}}),
+    ):
+        answer = app.post(path, json=body)
+        assert answer.status_code == 422
+        assert answer.json()["error"].endswith("at most 10000 items after validation, not 10001")
 
 
 @pytest.mark.parametrize("path", ["/api/telemetry?rate=200", "/api/telemetry?rate=fast"])

@@ -1,7 +1,7 @@
 // Calibrate: guided procedures, their results, and a checklist for exchanged tubes.
 import { $, blockReason, button, clock, confirm, dateTime, enable, ensureFresh, latest, make, mayCommand, note, onStatus, request, sendCommand, setText, Refused } from "../page/station.js";
 import { showReason } from "../page/header.js";
-import { row } from "../page/form.js";
+import { row, schemas } from "../page/form.js";
 import { card, head, isOpen, onPlace, onTab, showing } from "../page/tabs.js";
 import { numberList } from "../page/number.js";
 
@@ -216,7 +216,11 @@ function exchange() {
     }));
   };
   robot.addEventListener("change", () => requestTodo({ robot: robot.value }));
-  file.addEventListener("change", async () => { if (file.files.length > 0) requestTodo({ file: await file.files[0].text() }); });
+  file.addEventListener("change", async () => {
+    const [chosen] = file.files, most = (await schemas()).ExchangeIn.properties.file.anyOf[0].maxLength;
+    if (chosen?.size > most) note(`The file has ${chosen.size} bytes; a robot's file has at most ${most}. Choose the robot's .toml file.`);
+    else if (chosen !== undefined) requestTodo({ file: await chosen.text() });
+  });
   content.replaceChildren(back("Tube exchange"), make("p", {}, "Select the robot with the new tubes:"),
     make("div", { className: "rows" }, ...row("one of these", robot), ...row("or its file", file)), list);
   requestTodo({ robot: robot.value });

@@ -53,7 +53,7 @@ function found(query) {
   return [...titled, ...all.filter((one) => !titled.includes(one) && within(`${one.title} ${one.words ?? ""}`))];
 }
 
-const field = make("input", { type: "text", placeholder: "what to do", role: "combobox", "aria-label": "action", "aria-expanded": "true", "aria-controls": "actions", autocomplete: "off" });
+const field = make("input", { type: "text", placeholder: "what to do", maxLength: 100, role: "combobox", "aria-label": "action", "aria-expanded": "true", "aria-controls": "actions", autocomplete: "off" });
 const list = make("ul", { id: "actions", role: "listbox", "aria-label": "actions" });
 const dialog = make("dialog", { id: "palette", "aria-label": "actions" }, field, list);
 document.querySelector("main").append(dialog);

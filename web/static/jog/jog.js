@@ -164,7 +164,7 @@ if (rig.turn_speed !== null) {
 }
 const teach = button("Add the tip to the waypoints", async () => {
   const { addHere } = await import("../run/waypoints.js");
-  taught.replaceChildren(`waypoint ${addHere()} is added `, openList);
+  taught.replaceChildren(`${addHere()} `, openList);
 }, { title: "at the measured position of the tip; the first waypoint is the start" });
 const taught = make("span", { className: "small", role: "status" }); // beside its button, which a note would cover
 const openList = button("Open the list", async () => (await import("../run/run.js")).openMotion("waypoints"));

@@ -4,13 +4,18 @@ import { make, tidy } from "./station.js";
 
 const NUMBER = /^[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[-+]?\d+)?$/i;
 const value = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value");
+/** Longest text of a number, and of a list of numbers: checking a longer one, pasted by mistake, would block the page. */
+const MAX_CHARS = 60, MAX_LIST_CHARS = 200_000;
 
 /** Return the number that a text shows; null for an empty text, NaN for any other text. */
 export function parsed(text) {
   const shown = text.trim().replace("−", "-"); // the minus of printed texts
-  const number = NUMBER.test(shown) ? Number(shown.replace(",", ".")) : NaN;
+  const number = shown.length <= MAX_CHARS && NUMBER.test(shown) ? Number(shown.replace(",", ".")) : NaN;
   return shown === "" ? null : Number.isFinite(number) ? number : NaN;
 }
+
+/** Return a refused text, or its beginning, for a message. */
+const cut = (text) => (text.length > MAX_CHARS ? `${text.slice(0, MAX_CHARS)}…` : text);
 
 /** Show a text below a field: in a grid of rows after the field's unit, otherwise after the field itself. */
 export function showBelow(field, message) {
@@ -61,7 +66,7 @@ export function numberField(label, initial, { min = -Infinity, max = Infinity, o
     const number = parsed(text);
     if (text === "") return "";
     if (number === null) return "Spaces are no number";
-    if (Number.isNaN(number)) return `“${text.trim()}” is not a number; write it like 0.5 or 0,5, without a unit`;
+    if (Number.isNaN(number)) return `“${cut(text.trim())}” is not a number; write it like 0.5 or 0,5, without a unit`;
     if (whole && !Number.isInteger(number)) return "Only whole numbers are possible";
     if (open && number <= bounds.min) return `${tidy(number)} is too small; it must be more than ${tidy(bounds.min)}`;
     if (number < bounds.min) return `${tidy(number)} is too small; it must be at least ${tidy(bounds.min)}`;
@@ -88,7 +93,8 @@ const parts = (text) => text.split(text.includes(";") ? ";" : /,\s+|\s+/).map((p
 /** Return a field for several numbers, separated by spaces or semicolons; its property `numbers` is their list. */
 export function numberList(label, initial, fields = {}) {
   const wrong = (text) => parts(text).find((part) => part.startsWith(",") || Number.isNaN(parsed(part))) ?? (text !== "" && parts(text).length === 0 ? text : undefined);
-  const refusal = (text) => (wrong(text) === undefined ? "" : `“${wrong(text)}” is not a number; separate the numbers by spaces or semicolons, like 0.5; 2; 4`);
+  const refusal = (text) => text.length > MAX_LIST_CHARS ? `${text.length} characters are too many; at most ${MAX_LIST_CHARS} are possible`
+    : (wrong(text) === undefined ? "" : `“${cut(wrong(text))}” is not a number; separate the numbers by spaces or semicolons, like 0.5; 2; 4`);
   const input = checkedField(label, { placeholder: "0; 2; 4", ...fields }, refusal, (text) => parts(text).map((part) => tidy(parsed(part))).join("; "));
   Object.defineProperty(input, "numbers", { get: () => parts(input.value).map(parsed) });
   input.value = initial.map(tidy).join("; ");

@@ -94,13 +94,16 @@ function finite(_, value) {
   return value;
 }
 
-/** Return the station's answer; throw Refused with the reason of a refusal, or an Error if there is no answer within `timeout` [ms]. */
-export async function request(method, path, body, timeout) {
+/**
+ * Return the station's answer; throw Refused with the reason of a refusal, or an Error if there is no answer within
+ * `timeout` [ms]. The signal `cancel` ends a request without `timeout`.
+ */
+export async function request(method, path, body, timeout, cancel) {
   const headers = { "x-ctr-client": client, "x-ctr-name": encodeURIComponent(name.get()) };
   if (method !== "GET") headers["content-type"] = "application/json";
   const answer = await fetch(path, {
     method, headers, cache: "no-store", body: body === undefined ? undefined : JSON.stringify(body, finite),
-    signal: timeout === undefined ? undefined
+    signal: timeout === undefined ? cancel
       : AbortSignal.any([AbortSignal.timeout(timeout), ...(method === "GET" ? [polls.signal] : [])]),
   });
   const text = await answer.text();

@@ -1,14 +1,25 @@
 // The edited list of waypoints: rows of time and offset, their origin, undo, and the list as a CSV file.
+import { schemas, variants } from "../page/form.js";
 import { stored, tidy } from "../page/station.js";
 import { session } from "../page/storage.js";
 
 const KEY = "places";
+const all = await schemas();
+/** Largest number of waypoints of a motion. */
+const MAX_ROWS = variants(all, all.Start.properties.trajectory).waypoints.properties.points.maxItems;
+/** Longest row of a file [bytes]: four numbers with all their digits, separators and a line end. */
+const MAX_ROW_BYTES = 110;
+const REMEDY = "Remove some, or divide the motion into several";
+
+/** Return why a list cannot have this number of rows; empty if it can. */
+const refusal = (count) => (count <= MAX_ROWS ? "" : `${count} waypoints are too many; at most ${MAX_ROWS} are possible. ${REMEDY}.`);
 
 /**
  * `rows`: [time [s], x, y, z [m]]; `origin`: {tip [m], joints} at the start, or null. `origin` is set when a waypoint is
  * added at the robot's pose. For a loaded motion `origin.tip` is null until the robot is at the start.
  */
-let list = stored(KEY) ?? { rows: [], origin: null };
+const kept = stored(KEY);
+let list = kept === null || refusal(kept.rows.length) !== "" ? { rows: [], origin: null } : kept;
 const history = [], listeners = [];
 
 /** Call `listener()` after each change. */
@@ -23,10 +34,13 @@ function replaceList(next) {
   for (const listener of listeners) listener();
 }
 
-/** Change the list and keep the previous one for undo. */
+/** Change the list and keep the previous one for undo. Return why the change is refused; empty if the list has changed. */
 export function change(next) {
+  const reason = refusal(next.rows.length);
+  if (reason !== "") return reason;
   history.push(list);
   replaceList({ ...list, ...next });
+  return "";
 }
 
 /** Set the tip's position at the start [m], called when the robot is at the start. */
@@ -45,16 +59,16 @@ const MIN_DURATION_S = 0.5;
 const duration = (from, target, speed) => Math.max(MIN_DURATION_S, distance(from, target) / speed);
 const tidyTime = (time) => Number(time.toFixed(2));
 
-/** Add a waypoint at `tip` [m] with these `joints`, reached at `speed` [m/s]. The first waypoint sets the origin. */
+/** Add a waypoint at `tip` [m] with these `joints`, reached at `speed` [m/s]; return as `change` does. The first one sets the origin. */
 export function add(tip, joints, speed) {
   const from = list.origin ?? { tip, joints }, position = tip.map((part, i) => Number((part - from.tip[i]).toFixed(6)));
-  change({ rows: [...list.rows, [timeOf(position, speed), ...position]], origin: from });
+  return change({ rows: [...list.rows, [timeOf(position, speed), ...position]], origin: from });
 }
 
-/** Add a row at the last waypoint's position, which the user then edits. */
+/** Add a row at the last waypoint's position, which the user then edits; return as `change` does. */
 export function addRow(speed) {
   const position = list.rows.at(-1)?.slice(1) ?? [0, 0, 0];
-  change({ rows: [...list.rows, [timeOf(position, speed), ...position]] });
+  return change({ rows: [...list.rows, [timeOf(position, speed), ...position]] });
 }
 
 function timeOf(position, speed) {
@@ -63,7 +77,7 @@ function timeOf(position, speed) {
   return tidyTime(last[0] + duration(last.slice(1), position, speed));
 }
 
-export const edit = (row, column, value) => change({ rows: list.rows.map((one, i) => (i === row ? one.with(column, value) : one)) });
+export const edit = (row, column, value) => change({ rows: list.rows.with(row, list.rows[row].with(column, value)) });
 export const remove = (row) => change({ rows: list.rows.filter((_, i) => i !== row), origin: list.rows.length > 1 ? list.origin : null });
 
 /** Swap a waypoint with its neighbour; the times keep their order. */
@@ -101,10 +115,18 @@ export function firstError() {
 export const UNITS = { mm: 1e-3, m: 1 };
 const NAMES = ["time", "x", "y", "z"];
 
-/** Return {rows} in SI, or {wrong}: the error of the first invalid line; `unit` is the unit of positions in a file that names no unit. */
-export function parseCsv(text, unit) {
+/**
+ * Return {rows} of a file in SI, or {wrong}: why the file is refused, with its first invalid line. `unit` is the unit of
+ * positions in a file that names no unit. The size is checked before the file is read, the number of rows before they are.
+ */
+export async function readCsv(file, unit) {
+  const most = MAX_ROW_BYTES * MAX_ROWS;
+  if (file.size > most) return { wrong: `The file has ${file.size} bytes; at most ${most} are possible, enough for ${MAX_ROWS} waypoints. ${REMEDY}.` };
+  const text = await file.text(), lines = text.split("\n").map((line) => line.trim());
+  const wrong = refusal(lines.filter((line) => /^[-+.\d]/.test(line)).length); // every row starts with a number
+  if (wrong !== "") return { wrong };
   const rows = [], scale = UNITS[unitOf(text) ?? unit];
-  for (const [number, line] of text.split("\n").map((one) => one.trim()).entries()) {
+  for (const [number, line] of lines.entries()) {
     if (line === "" || line.startsWith("#") || (rows.length === 0 && /^\W*(time|t)\b/i.test(line))) continue;
     const cells = line.split(/\s*[,;\t]\s*|\s+/).filter((cell) => cell !== ""), values = cells.map(Number);
     const bad = values.findIndex((value) => !Number.isFinite(value));

@@ -24,7 +24,7 @@ let order = "time", turned = false;
 const titleOf = (run) => run.title || run.experiment || run.id;
 
 const options = (all) => all.map(([value, text]) => make("option", { value }, text));
-const search = make("input", { type: "text", placeholder: "search title, tag, cause or notes", "aria-label": "search", style: "flex:1" });
+const search = make("input", { type: "text", maxLength: 200, placeholder: "search title, tag, cause or notes", "aria-label": "search", style: "flex:1" });
 const label = make("select", { "aria-label": "which runs" }, ...options([["", "all"], ["starred", "★ starred"], ...Object.keys(SHAPES).map((one) => [one, outcomeOf({ label: one })]), ["deleted", "deleted"]]));
 const compare = button("Compare two", () => compareRuns([...chosen]));
 

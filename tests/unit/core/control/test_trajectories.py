@@ -97,6 +97,17 @@ def test_path_through_accepted_waypoints_keeps_its_speed_and_acceleration_limits
         Waypoints(WAY.times, WAY.places, 1.0, 0.98 * hardest)
 
 
+def test_first_of_several_too_fast_pieces_is_reported_at_its_waypoint():
+    times = (5.0, 10.0, 10.2, 15.0, 15.1, 20.0)
+    places = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.01, 0.0, 0.0), (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))
+    # The path is slower before 10 s. After 10.2 s its speed reaches 0.5 m/s and its acceleration 0.4 m/s^2.
+    with pytest.raises(DescriptionError, match=r"acceleration 0\.237 m/s\^2 at 10\.2 s") as hard:
+        Waypoints(times, places, max_speed=10.0, max_acceleration=0.2)
+    with pytest.raises(DescriptionError, match=r"speed 0\.0559 m/s at 10\.") as fast:
+        Waypoints(times, places, max_speed=0.0555, max_acceleration=10.0)
+    assert (hard.value.time, fast.value.time) == (10.2, 10.2)
+
+
 def test_waypoints_may_start_at_the_start_tip_or_consist_of_one_point():
     from_here = Waypoints((0.0, 5.0), ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
     np.testing.assert_allclose(from_here.setpoint(2.5).position, [0.005, 0.0, 0.0], rtol=0, atol=1e-12)

@@ -115,6 +115,7 @@ def test_length_of_its_direction_does_not_change_a_load():
         ({**RAISED, "amplitude": 0.2}, "unknown key 'load.amplitude'"),
         ({"kind": "ramps", "times": [1.0, 2.0], "magnitudes": [0.1]}, "2 times but 1 magnitudes"),
         ({"kind": "ramps", "times": [2.0, 1.0], "magnitudes": [0.1, 0.2]}, "times must increase"),
+        ({"kind": "ramps", "times": [1.0] * 10_001, "magnitudes": [0.1]}, "at most 10000 items after"),
         ({"kind": "ramps", "times": [-1.0, 1.0], "magnitudes": [0.1, 0.2]}, "load.times.0 = -1.0: "),
         ({"kind": "wind"}, "load = {'kind': 'wind'}: "),
     ],

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from core.control.trajectories import JointMotion, Setpoint
+from core.control.trajectories import MAX_WAYPOINTS, JointMotion, Setpoint
 from core.errors import CtrError, Unreachable
 from core.model.statics import Statics
 from station.config.controllers import ControllerFile
-from station.config.motions import JointSweepMotion, Motion, Orders, PalpateMotion
+from station.config.motions import MAX_FILE_BYTES, JointSweepMotion, Motion, Orders, PalpateMotion, WaypointsMotion
 from station.config.strict import ConfigError, Strict, check
 
 
@@ -136,7 +137,7 @@ def test_step_motion_stays_or_alternates_between_its_two_positions(orders):
     assert setpoint(again, 3.0).position.tolist() == [0.0, 0.0, 0.0]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # some programs write a byte order mark before the text
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])  # some programs write a byte order mark
 @pytest.mark.parametrize("head", ["time [s], x [m], y, z\n", ""])
 def test_csv_motion_reads_its_file_as_waypoints(orders, tmp_path, head, encoding):
     path = tmp_path / "path.csv"
@@ -169,6 +170,31 @@ def test_invalid_csv_file_of_waypoints_is_refused_with_its_line(orders, tmp_path
     with pytest.raises(CtrError) as refused:
         orders(kind="csv", file=str(path))
     assert message in str(refused.value)
+
+
+def test_csv_file_with_too_many_waypoints_is_refused_before_its_numbers_are_read(orders, tmp_path):
+    path = tmp_path / "path.csv"
+    rows = ["1,0,0,0"] * MAX_WAYPOINTS
+    path.write_text("\n".join(["time,x,y,z", "", *rows]), encoding="utf-8")
+    with pytest.raises(ConfigError, match="must be after the time"):  # as many waypoints as possible are read
+        orders(kind="csv", file=str(path))
+    path.write_text("\n".join(["time,x,y,z", "", *rows, "no number"]), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"path\.csv: 10001 waypoints; at most 10000 are possible; remove waypoints"):
+        orders(kind="csv", file=str(path))
+
+
+def test_csv_file_that_is_too_large_for_waypoints_is_not_read(orders, tmp_path):
+    path = tmp_path / "path.csv"
+    with path.open("wb") as file:
+        file.truncate(MAX_FILE_BYTES + 1)
+    with pytest.raises(ConfigError, match=rf"has {MAX_FILE_BYTES + 1} bytes; at most {MAX_FILE_BYTES} are read"):
+        orders(kind="csv", file=str(path))
+
+
+def test_long_list_of_waypoints_is_checked_no_further_than_its_first_invalid_row():
+    with pytest.raises(ValidationError) as refused:
+        WaypointsMotion.model_validate({"points": [[0.0]] * 100 * MAX_WAYPOINTS})
+    assert {error["loc"][:2] for error in refused.value.errors()} == {("points",), ("points", 0)}
 
 
 def test_missing_csv_file_of_waypoints_is_refused(orders, tmp_path):
