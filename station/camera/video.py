@@ -131,13 +131,14 @@ class VideoWriter:
         """
         try:
             self._flush()
-            self._section.close()
+            self._section.cut()
             result = {"label": RunOutcome.COMPLETE, "cause": "", "ended": time.time(), "frames": self.frames}
-            finish_file(self._section.path, texts(result))
+            finish_file(self._section.file, texts(result))
             self._section.path.rename(self._path)
         except OSError as error:
             raise RecordingError(f"camera {self._name}: the video cannot be finished: {error.strerror}") from None
         finally:
+            self._section.close()  # unlocks the file: only now a recovery may take it
             os.close(self._folder)
 
     def _flush(self) -> None:
@@ -212,7 +213,7 @@ def read_frames(path: Path) -> Iterator[RecordedFrame]:
         RecordingError: the file cannot be read or is not a video of this program.
     """
     with undamaged(path), open_in(path.parent, path.name) as file, indexed(file) as recording:
-        whole = True
+        whole = False  # the first frame is a key frame, unless it is damaged
         for content in chunks_with(recording.file, recording.summary, VIDEO):
             whole = whole and content is not None
             for message in messages(content or b"", VIDEO):

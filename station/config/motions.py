@@ -46,7 +46,7 @@ _REMEDY = "remove waypoints, or divide the motion into several"
 class Places(PointedMotion):
     """Waypoints and times as a user has entered them; the tip may be unable to follow them."""
 
-    points: Annotated[TimedVectors, Field(min_length=1)]
+    points: Annotated[TimedVectors, Field(min_length=1, json_schema_extra={"x-max-bytes": MAX_TABLE_BYTES})]
     """time [s] and offset x, y, z from the start tip [m]; the tip reaches the first point at its time"""
     max_speed: Annotated[float, Field(gt=0.0, le=0.1)] = 0.02
     """largest speed of the tip [m/s]"""

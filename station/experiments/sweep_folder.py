@@ -11,12 +11,12 @@ from station.config.strict import ConfigError, check
 from station.experiments.sweep_plan import SweepPlan
 from station.jobs.manifest import Manifest, Row, difference, read, read_plan, refuse_another
 from station.recording.history import SWEEP_FILE
-from station.recording.run_folder import EXPERIMENT_FILE, SUMMARY_FILE
+from station.recording.run_folder import EXPERIMENT_FILE, REPORT_FILE, SUMMARY_FILE
 from station.recording.run_outcome import RecordingError
 from station.regular_file import is_regular
 
 #: Files that a sweep writes next to its manifest, or that a run has.
-RESULT_FILES = (SUMMARY_FILE, EXPERIMENT_FILE, SWEEP_FILE, "report.html")
+RESULT_FILES = (SUMMARY_FILE, EXPERIMENT_FILE, SWEEP_FILE, REPORT_FILE)
 MANIFEST_NAME = re.compile(r"manifest(?:-\d+-of-\d+)?\.jsonl")
 
 

@@ -19,8 +19,10 @@ from station.recording.data_section import MESSAGE_HEADER_BYTES
 RECORD_HEADER_BYTES = 9
 #: Length of a chunk's header before its messages, without the name of the compression [bytes].
 CHUNK_HEADER_BYTES = 40
-#: Exceptions of the mcap library for damaged bytes. It does not document them, so several types are listed.
-DAMAGE = (McapError, ZstdError, ValueError, KeyError, IndexError, OverflowError, MemoryError, struct.error)
+#: Exceptions that damaged bytes cause. The mcap library does not document them, so several types are listed.
+DAMAGE = (
+    McapError, ZstdError, ValueError, KeyError, IndexError, OverflowError, MemoryError, RecursionError, struct.error,
+)  # fmt: skip
 #: Start of a message record: opcode, length, topic, sequence number and time.
 _MESSAGE = struct.Struct("<BQHIQ")
 
@@ -66,12 +68,23 @@ def messages(content: bytes, topic: int | None = None) -> Iterator[ChunkMessage]
 
 
 def chunks_with(file: IO[bytes], summary: Summary, topic: int) -> Iterator[bytes | None]:
-    """Yield the content of each chunk with messages of a topic, in the order of the file; None for a damaged chunk."""
+    """Yield the content of each chunk with messages of a topic, in the order of the file; None where it is damaged.
+
+    The index of a recovered recording has only its intact chunks, so there None stands for bytes between two chunks.
+    """
 
     def offset(index: ChunkIndex) -> int:
         return index.chunk_start_offset
 
+    after = None
     for index in sorted(summary.chunk_indexes, key=offset):
+        if after not in (None, offset(index)):
+            yield None
+        after = offset(index) + index.chunk_length + index.message_index_length
         if topic in index.message_index_offsets:
-            file.seek(index.chunk_start_offset)
-            yield content_of(file.read(index.chunk_length))
+            try:
+                file.seek(offset(index))
+                record = file.read(index.chunk_length)
+            except OSError:  # a bad sector of the disk
+                record = b""
+            yield content_of(record)

@@ -265,9 +265,9 @@ class DataSection:
             OSError: the file cannot be created or written.
         """
         self.path = path
-        self._file = path.open("xb", buffering=0)
+        self.file = path.open("x+b", buffering=0)  #: the open file; locked until `close`
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self.file, fcntl.LOCK_EX)  # only a recovery may have locked the new file, for a moment
             self._end = 0  # offset after the last complete record
             self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
             head = RecordBuilder()
@@ -279,7 +279,7 @@ class DataSection:
                 TopicRecord(number, topic.name, topic.encoding, {}, number).write(head)
             self._append(head.end())
         except BaseException:
-            self._file.close()
+            self.file.close()
             raise
 
     def write_chunk(self, rows: Rows, topic: int, messages: Sequence[WrittenMessage]) -> None:
@@ -315,16 +315,19 @@ class DataSection:
             group.write(index_record(number, entries))
         self._append(group.end())
 
+    def cut(self) -> None:
+        """Cut the file after the last complete chunk."""
+        self.file.truncate(self._end)
+
     def close(self) -> None:
-        """Cut the file after the last complete chunk, and close it."""
-        with self._file:
-            self._file.truncate(self._end)
+        """Close and unlock the file."""
+        self.file.close()
 
     def _append(self, data: bytes) -> None:
         left = memoryview(data)
         while left:
             # On a nearly full disk, only a part of the data is written. The next attempt then raises the error.
-            left = left[self._file.write(left) or 0 :]
+            left = left[self.file.write(left) or 0 :]
         self._end += len(data)
 
 

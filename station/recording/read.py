@@ -26,6 +26,8 @@ from station.regular_file import open_in
 #: Largest number of rows from which the errors of a run are computed: every tick of half an hour. Of a longer run only
 #: every n-th row is used.
 MAX_SUMMARY_ROWS = 1_000_000
+#: Largest number of gaps of a recording whose times are stated.
+MAX_NAMED_GAPS = 10
 #: Cause in a recording whose own outcome cannot be read.
 END_DAMAGED = "the end of the recording is damaged or missing"
 
@@ -82,7 +84,7 @@ class CaseReader:
             #: processor time of the recorder.
             self.result: Mapping[str, Any] = values_of(written[RESULT_RECORD])
             self.label, self.cause = RunOutcome(self.result["label"]), str(self.result["cause"])
-            #: Number of telemetry rows in the recording, including those in damaged chunks.
+            #: Number of telemetry rows in the index. In a recovered recording it has only intact rows.
             self.ticks = recording.counts[TELEMETRY_TOPIC]
             self._gaps: tuple[Gap, ...] | None = None
 
@@ -145,7 +147,9 @@ def missing_rows(gaps: Sequence[Gap]) -> str:
     """Return a text with number and times of the rows in gaps; empty if there is no gap."""
     if not gaps:
         return ""
-    return f"{sum(gap.rows for gap in gaps)} rows are damaged and missing: {', '.join(map(_between, gaps))}"
+    more = [f"and {len(gaps) - MAX_NAMED_GAPS} more gaps"] if len(gaps) > MAX_NAMED_GAPS else []
+    named = ", ".join([*map(_between, gaps[:MAX_NAMED_GAPS]), *more])
+    return f"{sum(gap.rows for gap in gaps)} rows are damaged and missing: {named}"
 
 
 def _between(gap: Gap) -> str:

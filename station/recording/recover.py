@@ -6,28 +6,31 @@ what this program has written is recovered: run folders with its mark, and video
 """
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
-import struct
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from mcap.exceptions import McapError
 from mcap.records import Chunk, Metadata
 from mcap.stream_reader import StreamReader
 
+from station.recording.chunks import DAMAGE
 from station.recording.data_section import sync_folder
 from station.recording.metadata import RUN_RECORD, is_later, texts, values_of
 from station.recording.read import missing_rows, open_case
 from station.recording.run_folder import (
     EXPERIMENT_FILE,
+    FREE_SPACE_BYTES,
     MARK_FILE,
     RECORDING_SUFFIX,
     SUMMARY_FILE,
     VIDEOS_FOLDER,
     free_path,
+    is_provisional,
     is_unfinished_run,
     lock_folder,
     recordings,
@@ -38,10 +41,10 @@ from station.recording.run_folder import (
 from station.recording.run_outcome import RecordingError, RunOutcome
 from station.recording.salvage import is_empty_recording, is_recording, salvage
 from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
-from station.regular_file import open_in
+from station.regular_file import is_regular, open_in
 
 CAUSES = {
-    RunOutcome.INTERRUPTED: "the recording process ended; every intact row that reached the disk was recovered",
+    RunOutcome.INTERRUPTED: "the recording process ended; the intact rows that reached the disk were recovered",
     RunOutcome.INCOMPLETE: "the disk was full",
 }
 
@@ -54,7 +57,7 @@ class Recovery(NamedTuple):
 
 
 def recover(runs: Path) -> Recovery:
-    """Finish every run and video in a folder that no process writes any more; `runs` need not exist."""
+    """Finish each run and video in `runs` that no process is writing; the folder `runs` need not exist."""
     found = Recovery([], [])
     for folder in sorted(filter(is_unfinished_run, runs.glob(f"*{PARTIAL_SUFFIX}"))):
         try:
@@ -68,35 +71,42 @@ def recover(runs: Path) -> Recovery:
                 done = _recover_folder(folder)
             finally:
                 os.close(lock)
-        except OSError as error:
+        except BlockingIOError:
+            continue  # a process is still writing one of its recordings
+        except (OSError, *DAMAGE) as error:
             found.problems.append(_problem(folder, error))
             continue
         if done is not None:
             found.folders.append(done)
     for folder in sorted(runs.glob(f"*/{VIDEOS_FOLDER}")):
-        if not (folder.is_symlink() or folder.parent.is_symlink()) and (left := unfinished_recordings(folder)):
-            try:
-                _recover_videos(folder, left)
-            except OSError as error:
-                found.problems.append(_problem(folder, error))
+        if not (folder.is_symlink() or folder.parent.is_symlink()):
+            found.problems.extend(_recover_videos(folder))
     return found
 
 
-def _recover_videos(folder: Path, left: list[Path]) -> None:
-    lock = lock_folder(folder)
+def _recover_videos(folder: Path) -> Iterator[str]:
+    """Finish the videos in a folder that no camera is writing; yield a message for each that stays unfinished."""
+    left = unfinished_recordings(folder)
+    lock = lock_folder(folder) if left else None
     if lock is None:
-        return  # another recovery finishes these videos
+        return  # there is none, or another recovery finishes them
     try:
         for path in left:
-            recover_file(path)
+            try:
+                recover_file(path)
+            except BlockingIOError:
+                continue
+            except (OSError, *DAMAGE) as error:
+                yield _problem(path, error)
     finally:
         os.close(lock)
 
 
-def _problem(path: Path, error: OSError) -> str:
+def _problem(path: Path, error: Exception) -> str:
+    reason = error.strerror if isinstance(error, OSError) else repr(error)
     return (
-        f"{path}: interrupted, and not recovered: {error.strerror}. Nothing of it is lost: the next start of"
-        " ctr-station recovers it if it may write there and the disk has space for a copy of the recording"
+        f"{path}: interrupted, and not recovered: {reason}. Nothing of it is lost: the next start of ctr-station"
+        f" recovers it if it may write there and the disk has space for a copy and {FREE_SPACE_BYTES / 1e6:.0f} MB more"
     )
 
 
@@ -112,23 +122,24 @@ def _of_later(folder: Path) -> str:
 def _run(file: IO[bytes]) -> Mapping[str, Any]:
     """Return the metadata record `run` of an incomplete recording; empty if the file ends before this record."""
     try:
-        for record in StreamReader(file).records:
+        for record in StreamReader(file, emit_chunks=True).records:
             if isinstance(record, Metadata) and record.name == RUN_RECORD:
                 return values_of(record.metadata)
             if isinstance(record, Chunk):
                 break
-    except (McapError, ValueError, struct.error):
-        pass  # the file ends before the metadata record
+    except DAMAGE:
+        pass  # the file ends before the metadata record, or is damaged there
     return {}
 
 
 def recover_file(left: Path) -> Path | None:
     """Finish a recording of a killed writer and return its path. The caller has locked the file's folder.
 
-    Return None if there is nothing to finish: another process writes the file, this program has not written it, or its
-    writer was killed before anything reached the disk.
+    Return None if there is nothing to finish: this program has not written the file, its writer has just finished it,
+    or was killed before anything reached the disk.
 
     Raises:
+        BlockingIOError: a process is writing the file.
         OSError: the complete copy cannot be written; the file is unchanged.
     """
     suffix = FULL_SUFFIX if left.name.endswith(FULL_SUFFIX) else PARTIAL_SUFFIX
@@ -136,15 +147,19 @@ def recover_file(left: Path) -> Path | None:
     try:
         source = open_in(left.parent, left.name)
     except FileNotFoundError:
-        return None  # another recovery has just finished it
+        return None
     with source:
+        fcntl.flock(source, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        status = os.fstat(source.fileno())
         try:
-            fcntl.flock(source, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            if not os.path.samestat(status, left.lstat()) or not is_recording(source):
+                return None
+        except FileNotFoundError:
             return None
-        if not is_recording(source):
-            return None
-        result = {"label": label, "cause": CAUSES[label], "ended": os.fstat(source.fileno()).st_mtime}
+        _remove_copies(left)
+        if shutil.disk_usage(left.parent).free < status.st_size + FREE_SPACE_BYTES:  # a run may be recording there
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), left)
+        result = {"label": label, "cause": CAUSES[label], "ended": status.st_mtime}
         with replacing(left) as copy, copy.open("wb") as target:
             salvage(source, target, texts(result))
             os.fsync(target.fileno())
@@ -152,6 +167,16 @@ def recover_file(left: Path) -> Path | None:
     left.rename(whole)
     sync_folder(whole.parent)
     return whole
+
+
+def _remove_copies(left: Path) -> None:
+    """Remove the copies that killed recoveries of a recording have left behind."""
+    for path in left.parent.iterdir():
+        if is_provisional(path, left) and is_regular(path):
+            with open_in(path.parent, path.name) as file:
+                ours = is_recording(file) or is_empty_recording(file)
+            if ours:
+                path.unlink()
 
 
 def _recover_folder(folder: Path) -> Path | None:

@@ -6,6 +6,7 @@ import fcntl
 import itertools
 import json
 import os
+import re
 import secrets
 import shutil
 import time
@@ -21,9 +22,10 @@ from station.regular_file import is_hidden, is_regular, open_folder, read_in
 
 SUMMARY_FILE = "summary.json"
 EXPERIMENT_FILE = "experiment.toml"
-#: File in the folder of a run that has not ended, and how it starts. Only folders with this file are recovered.
-MARK_FILE = ".unfinished-run"
-MARK_TEXT = "ctr-station: this run has not ended. If its station ended, the next start of ctr-station finishes it.\n"
+REPORT_FILE = "report.html"
+#: File in the folder of a run that has not ended. Only a folder with this file, which starts with `MARK`, is recovered.
+MARK_FILE, MARK = ".unfinished-run", "ctr-station: "
+MARK_TEXT = f"{MARK}this run has not ended. If its station ended, the next start of ctr-station finishes it.\n"
 RECORDING_SUFFIX = ".mcap"
 #: Folder in the run's folder with the videos of the cameras, `NAME.mcap`; it is separate, because every file
 #: `*.mcap` in the run's folder is a case.
@@ -62,13 +64,31 @@ class RunFolder:
                 except FileExistsError:
                     continue
                 self._lock = lock_folder(self.partial)
-                if self._lock is not None and not os.path.lexists(self.path):
-                    (self.partial / MARK_FILE).write_text(MARK_TEXT, encoding="utf-8")
-                    break
-                self.let_go()
-                with contextlib.suppress(OSError):  # the user may have put a file into it
-                    self.partial.rmdir()
+                try:
+                    if self._lock is not None and not os.path.lexists(self.path):
+                        self._mark()
+                        break
+                except OSError:
+                    self._give_up()
+                    raise
+                self._give_up()
         self.started = time.time()  #: start of the run [s since 1970]
+
+    def _mark(self) -> None:
+        """Write the mark, and flush it to the disk, because a run without it is not recovered after a power cut."""
+        with (self.partial / MARK_FILE).open("x", encoding="utf-8") as file:
+            file.write(MARK_TEXT)
+            file.flush()
+            os.fsync(file.fileno())
+        sync_folder(self.partial)
+        sync_folder(self._runs)
+
+    def _give_up(self) -> None:
+        """Unlock and remove the new folder, unless something else is in it."""
+        self.let_go()
+        with contextlib.suppress(OSError):
+            (self.partial / MARK_FILE).unlink(missing_ok=True)
+            self.partial.rmdir()
 
     def add_source(self, text: str) -> None:
         """Write the experiment's file into the folder.
@@ -193,7 +213,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OSError: the file cannot be created, or cannot replace `path`.
     """
-    whole = path.with_name(f".{path.name[:MAX_STEM_CHARS]}-{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
+    whole = path.with_name(f"{_provisional_stem(path)}{secrets.token_hex(8)}{PARTIAL_SUFFIX}")
     whole.open("xb").close()  # outside of `try`: a file that exists is not ours to remove
     try:
         yield whole
@@ -201,6 +221,16 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException:
         whole.unlink(missing_ok=True)
         raise
+
+
+def is_provisional(path: Path, final: Path) -> bool:
+    """Return whether the name of a file is one that `replacing` gives to a new version of `final`."""
+    expression = rf"{re.escape(_provisional_stem(final))}[0-9a-f]{{16}}{re.escape(PARTIAL_SUFFIX)}"
+    return re.fullmatch(expression, path.name) is not None
+
+
+def _provisional_stem(path: Path) -> str:
+    return f".{path.name[:MAX_STEM_CHARS]}-"
 
 
 def free_path(path: Path, suffix: str = "") -> Path:
@@ -212,7 +242,7 @@ def free_path(path: Path, suffix: str = "") -> Path:
 
 
 def recordings(folder: Path) -> list[Path]:
-    """Return the recordings of a run's cases, sorted by name; links, hidden files and bytes not UTF-8 are left out."""
+    """Return the recordings of a run's cases, sorted by name; links, hidden files and names not UTF-8 are left out."""
     return _files(folder, f"*{RECORDING_SUFFIX}")
 
 
@@ -231,7 +261,7 @@ def is_unfinished_run(folder: Path) -> bool:
         return (
             folder.name.removesuffix(PARTIAL_SUFFIX) not in ("", folder.name)
             and not folder.is_symlink()
-            and read_in(folder, MARK_FILE).startswith(MARK_TEXT[:11].encode())
+            and read_in(folder, MARK_FILE).startswith(MARK.encode())
         )
     except OSError:
         return False

@@ -32,9 +32,11 @@ _HEAD: Mapping[int, Any] = {
 }
 #: Length of the content of the record that ends the data [bytes].
 _DATA_END_BYTES = 4
-#: Name of a chunk's compression with its length, by which a chunk is found after damaged bytes, and its offset in the
-#: record of a chunk [bytes].
+#: Longest record [bytes]: a chunk has less than a second of rows or pictures, so a longer one has a damaged length.
+MAX_RECORD_BYTES = 1 << 26
+#: Bytes by which a chunk is found after damaged bytes: the name of its compression, after the length of this name.
 _MARK = struct.pack("<I", len(COMPRESSION)) + COMPRESSION.encode()
+#: Offset of these bytes in the record of a chunk [bytes].
 _MARK_OFFSET = RECORD_HEADER_BYTES + CHUNK_HEADER_BYTES - 12
 #: Number of bytes that are copied or searched at once.
 _BLOCK_BYTES = 1 << 20
@@ -68,6 +70,11 @@ def salvage(source: IO[bytes], target: IO[bytes], result: Mapping[str, str]) -> 
     target.write(MCAP0_MAGIC)
     offset = len(MCAP0_MAGIC)
     while offset < size:
+        opcode, end = _header(descriptor, offset, size)
+        if opcode == DAMAGED:  # of an earlier recovery
+            _copy(descriptor, target, offset, end)
+            offset = end
+            continue
         record = _record(descriptor, offset, size)
         if _is_end(record):
             break
@@ -83,22 +90,28 @@ def salvage(source: IO[bytes], target: IO[bytes], result: Mapping[str, str]) -> 
             target.write(record)
             offset += len(record)
         else:
-            end = offset + len(record) if record[:1] == bytes([DAMAGED]) else _next_chunk(descriptor, offset + 1, size)
-            if record[:1] != bytes([DAMAGED]):
-                target.write(struct.pack("<BQ", DAMAGED, end - offset))
+            end = _next_chunk(descriptor, offset + 1, size)
+            target.write(struct.pack("<BQ", DAMAGED, end - offset))
             _copy(descriptor, target, offset, end)
             offset = end
     target.write(index.tail(target.tell(), result))
     target.flush()
 
 
-def _record(descriptor: int, offset: int, size: int) -> bytes:
-    """Return the record at an offset; empty if the file ends before the record does."""
+def _header(descriptor: int, offset: int, size: int) -> tuple[int, int]:
+    """Return the opcode of the record at an offset, and the offset after it; (0, 0) if the file ends before it does."""
     head = os.pread(descriptor, RECORD_HEADER_BYTES, offset)
     if len(head) < RECORD_HEADER_BYTES:
-        return b""
-    length = RECORD_HEADER_BYTES + struct.unpack("<BQ", head)[1]
-    return os.pread(descriptor, length, offset) if length <= size - offset else b""
+        return 0, 0
+    opcode, length = struct.unpack("<BQ", head)
+    end = offset + RECORD_HEADER_BYTES + length
+    return (opcode, end) if end <= size else (0, 0)
+
+
+def _record(descriptor: int, offset: int, size: int) -> bytes:
+    """Return the record at an offset; empty if the file ends before it does, or if it is longer than any of ours."""
+    length = _header(descriptor, offset, size)[1] - offset
+    return os.pread(descriptor, length, offset) if 0 < length <= MAX_RECORD_BYTES else b""
 
 
 def _is_end(record: bytes) -> bool:
@@ -135,8 +148,9 @@ def is_outcome(written: Mapping[str, str]) -> bool:
 
 
 def _add_chunk(target: IO[bytes], index: FileIndex, record: bytes, content: bytes) -> bytes:
-    """Write an intact chunk with its message indexes, and return these; nothing is written of a chunk without messages.
+    """Write an intact chunk and its message indexes; return the bytes of the indexes.
 
+    If the chunk has no messages, write nothing and return no bytes.
     The times in the header of a chunk and its message indexes have no CRC, so they are computed from its messages.
     """
     entries: dict[int, bytes] = {}

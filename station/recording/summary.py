@@ -8,7 +8,6 @@ import struct
 import zlib
 from collections.abc import Mapping
 from io import BytesIO
-from pathlib import Path
 from typing import IO
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -22,6 +21,8 @@ from station.recording.chunks import CHUNK_HEADER_BYTES, RECORD_HEADER_BYTES
 RESULT_RECORD = "result"
 #: Longest name of a chunk's compression [bytes].
 MAX_COMPRESSION_NAME = 16
+#: Number of bytes of which a CRC is computed at once.
+CRC_BLOCK_BYTES = 1 << 20
 
 
 class FileIndex:
@@ -102,23 +103,22 @@ class FileIndex:
         return tail.end()
 
 
-def finish_file(path: Path, result: Mapping[str, str]) -> None:
-    """Write the end of an MCAP file of this process, which has only complete records.
+def finish_file(file: IO[bytes], result: Mapping[str, str]) -> None:
+    """Write the end of an MCAP file that has only complete records.
 
     Args:
-        path: file to complete; no process may be writing it.
+        file: file without a buffer, which this process has locked.
         result: outcome of the recording.
 
     Raises:
         OSError: the file cannot be written; its records stay unchanged, and a recovery can finish it.
     """
-    with path.open("r+b", buffering=0) as file:
-        index, end = _index(file.fileno())
-        file.seek(end)
-        tail = memoryview(index.tail(end, result))
-        while tail:
-            tail = tail[file.write(tail) or 0 :]
-        os.fsync(file.fileno())
+    index, end = _index(file.fileno())
+    file.seek(end)
+    tail = memoryview(index.tail(end, result))
+    while tail:
+        tail = tail[file.write(tail) or 0 :]
+    os.fsync(file.fileno())
 
 
 def ends_intact(file: IO[bytes]) -> bool:
@@ -133,7 +133,11 @@ def ends_intact(file: IO[bytes]) -> bool:
     if opcode != Opcode.FOOTER or length != 8 + 8 + 4 or not 0 < start <= footer or file.read() != MCAP0_MAGIC:
         return False
     file.seek(start)
-    return zlib.crc32(file.read(checked - start)) == crc
+    found, left = 0, checked - start
+    while left > 0:  # a damaged offset may make it as long as the file
+        block = file.read(min(left, CRC_BLOCK_BYTES))
+        found, left = zlib.crc32(block, found), left - len(block)
+    return found == crc
 
 
 def _index(descriptor: int) -> tuple[FileIndex, int]:

@@ -141,13 +141,15 @@ class CaseWriter:
         self.label = label
         result = {"label": label, "cause": cause, "ended": time.time(), **more}
         try:
-            section.close()
-            finish_file(section.path, texts(result))
+            section.cut()
+            finish_file(section.file, texts(result))
             section.path.rename(self.path)
         except OSError as error:
             if label is RunOutcome.INCOMPLETE:
                 section.path.rename(self.path.with_name(self.path.name + FULL_SUFFIX))
             raise RecordingError(f"{self.path}: the recording cannot be finished: {error.strerror}") from None
+        finally:
+            section.close()  # unlocks the file: only now a recovery may take it
 
     def _put(self, section: DataSection, rows: Rows) -> None:
         """Write rows together with the events and drawings that are pending."""

@@ -15,10 +15,9 @@ from rich.table import Table
 from rich.text import Text
 
 from station.config.strict import ConfigError
-from station.recording.run_folder import write_atomically, write_json
+from station.recording.run_folder import REPORT_FILE, write_atomically, write_json
 from station.report import style
 
-REPORT_FILE = "report.html"
 #: Resolution of PNG files [pixels per inch].
 PNG_DPI = 200
 #: Lock for drawing: matplotlib's settings are global to the process, so only one report may be drawn at a time.

@@ -18,7 +18,7 @@ from station.config.motions import MAX_TABLE_BYTES
 from station.control.commands import Stop
 from web.access.identity import Role, Tokens, sender
 
-#: Largest request body [bytes]; that of a motion is larger, but a longer body takes longer to check, which delays STOP.
+#: Largest body of a request, and of a request with a motion [bytes]. The check of a body delays STOP.
 MAX_BODY_BYTES, MAX_MOTION_BYTES = 64 * 1024, MAX_TABLE_BYTES
 #: Starts of the paths whose requests contain a motion.
 MOTION_PATHS = ("/api/start", "/api/queue", "/api/trajectory", "/api/waypoints/check", "/api/experiments/")

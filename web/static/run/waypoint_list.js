@@ -5,10 +5,8 @@ import { session } from "../page/storage.js";
 
 const KEY = "places";
 const all = await schemas();
-/** Largest number of waypoints of a motion. */
-const MAX_ROWS = variants(all, all.Start.properties.trajectory).waypoints.properties.points.maxItems;
-/** Longest row of a file [bytes]: four numbers with all their digits, separators and a line end. */
-const MAX_ROW_BYTES = 110;
+/** Largest number of waypoints of a motion, and size of a file that they never exceed [bytes]. */
+const { maxItems: MAX_ROWS, "x-max-bytes": MAX_BYTES } = variants(all, all.Start.properties.trajectory).waypoints.properties.points;
 const REMEDY = "Remove some, or divide the motion into several";
 
 /** Return why a list cannot have this number of rows; empty if it can. */
@@ -117,11 +115,11 @@ const NAMES = ["time", "x", "y", "z"];
 
 /**
  * Return {rows} of a file in SI, or {wrong}: why the file is refused, with its first invalid line. `unit` is the unit of
- * positions in a file that names no unit. The size is checked before the file is read, the number of rows before they are.
+ * positions in a file that names no unit. The size is checked before the file is read, and the
+ * rows are counted before they are parsed.
  */
 export async function readCsv(file, unit) {
-  const most = MAX_ROW_BYTES * MAX_ROWS;
-  if (file.size > most) return { wrong: `The file has ${file.size} bytes; at most ${most} are possible, enough for ${MAX_ROWS} waypoints. ${REMEDY}.` };
+  if (file.size > MAX_BYTES) return { wrong: `The file has ${file.size} bytes; at most ${MAX_BYTES} are possible, enough for ${MAX_ROWS} waypoints. ${REMEDY}.` };
   const text = await file.text(), lines = text.split("\n").map((line) => line.trim());
   const wrong = refusal(lines.filter((line) => /^[-+.\d]/.test(line)).length); // every row starts with a number
   if (wrong !== "") return { wrong };

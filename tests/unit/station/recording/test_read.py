@@ -1,10 +1,15 @@
 """Recordings are read back with their resolution; invalid files are refused by name."""
 
+import errno
+import io
+import os
+
 import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from station.recording.read import missing_rows, open_case, read_case
+from station.recording.chunks import chunks_with
+from station.recording.read import Gap, indexed, missing_rows, open_case, read_case
 from station.recording.run_outcome import RecordingError, RunOutcome
 from tests.harness.recordings import as_recorded
 
@@ -64,6 +69,29 @@ def test_a_flipped_bit_in_a_recording_is_detected(recorded, make_rows):
     read = read_case(path)
     assert len(read.rows) == 0
     assert missing_rows(read.gaps) == "100 rows are damaged and missing: all"
+
+
+def test_only_the_first_gaps_of_a_badly_damaged_recording_are_named():
+    text = missing_rows([Gap(5, float(number), number + 0.5) for number in range(12)])
+    assert text.startswith("60 rows are damaged and missing: 0.000 to 0.500 s, 1.000 to 1.500 s, ")
+    assert text.endswith("9.000 to 9.500 s, and 2 more gaps")
+
+
+def test_rows_in_a_bad_sector_of_the_disk_are_missing_and_others_are_read(recorded, make_rows):
+    class BadSector(io.BufferedReader):
+        """File whose second chunk cannot be read."""
+
+        bad = -1
+
+        def read(self, size: int | None = -1, /) -> bytes:
+            if self.tell() == self.bad:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            return super().read(-1 if size is None else size)
+
+    with BadSector(io.FileIO(recorded(make_rows(300)))) as file, indexed(file) as recording:
+        file.bad = sorted(index.chunk_start_offset for index in recording.summary.chunk_indexes)[1]
+        found = list(chunks_with(file, recording.summary, recording.topic("/telemetry")))
+    assert [content is None for content in found] == [False, True, False]
 
 
 def test_an_exception_of_the_calling_code_is_not_reported_as_a_damaged_recording(recorded, make_rows):

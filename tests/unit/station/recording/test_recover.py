@@ -1,16 +1,19 @@
 """Recovery of unfinished runs: everything of ours is kept, and nothing else is touched."""
 
 import json
+import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from station.recording.read import read_case
-from station.recording.recover import recover
-from station.recording.run_folder import MARK_FILE, RunFolder, recordings
+from station.recording.recover import Recovery, recover
+from station.recording.run_folder import FREE_SPACE_BYTES, MARK_FILE, RunFolder, recordings
 from station.recording.run_outcome import RunOutcome
-from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX
+from station.recording.writer import FULL_SUFFIX, PARTIAL_SUFFIX, CaseWriter
 from tests.harness.full_disk import full_disk
 
 
@@ -29,6 +32,17 @@ def unfinished(tmp_path, open_writer, make_rows, channels) -> Callable[[], bytes
         return content
 
     return make
+
+
+@pytest.fixture
+def open_case_in(paper, channels) -> Callable[[Path], tuple[RunFolder, CaseWriter]]:
+    """Return a function that starts a run `one` with a recording in a folder of runs."""
+
+    def start(runs: Path) -> tuple[RunFolder, CaseWriter]:
+        folder = RunFolder(runs, "one")
+        return folder, CaseWriter(folder.case("run"), paper.robot(), channels.all, {})
+
+    return start
 
 
 def left_behind(runs: Path, **files: bytes) -> Path:
@@ -157,6 +171,46 @@ def test_a_recovery_without_disk_space_changes_nothing_and_can_be_repeated(tmp_p
 
     assert recover(tmp_path / "runs").folders == [tmp_path / "runs" / "one"]
     assert len(read_case(tmp_path / "runs" / "one" / "run.mcap").rows) == 100
+
+
+def test_a_recovery_keeps_disk_space_free_for_a_run_that_is_recorded(tmp_path, unfinished, monkeypatch):
+    content = unfinished()
+    left_behind(tmp_path / "runs", run__mcap__partial=content)
+    free = len(content) + int(FREE_SPACE_BYTES)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free - 1))
+    assert "No space left on device. Nothing of it is lost" in recover(tmp_path / "runs").problems[0]
+
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    assert recover(tmp_path / "runs").problems == []
+
+
+def test_a_recording_belongs_to_its_writer_until_it_has_its_final_name(tmp_path, open_case_in, make_rows, monkeypatch):
+    folder, writer = open_case_in(tmp_path)
+    writer.write(make_rows(20))
+    folder.let_go()
+    assert recover(tmp_path) == ([], [])
+    flush, found = os.fsync, list[Recovery]()
+
+    def flushed(descriptor: int) -> None:
+        flush(descriptor)
+        found.append(recover(tmp_path))
+
+    monkeypatch.setattr(os, "fsync", flushed)  # another program recovers while the end of the file is being flushed
+    writer.close(RunOutcome.COMPLETE)
+    monkeypatch.undo()
+    assert found == [([], [])]
+    assert read_case(folder.partial / "run.mcap").label is RunOutcome.COMPLETE
+
+
+def test_copies_that_a_killed_recovery_left_behind_are_removed(tmp_path, unfinished):
+    content = unfinished()
+    folder = left_behind(tmp_path / "runs", run__mcap__partial=content)
+    for name, copy in (("0" * 16, content[:5000]), ("1" * 16, b""), ("2" * 16, b"of the user"), ("3", content)):
+        (folder / f".run.mcap.partial-{name}.partial").write_bytes(copy)
+
+    (done,) = recover(tmp_path / "runs").folders
+    kept = {f".run.mcap.partial-{name}.partial" for name in ("2" * 16, "3")}
+    assert {path.name for path in done.iterdir()} == {"run.mcap", "summary.json", *kept}
 
 
 def test_a_recovery_overwrites_no_recording_and_no_run(tmp_path, unfinished):

@@ -15,6 +15,7 @@ from station.recording.run_folder import (
     write_json,
 )
 from station.recording.run_outcome import RecordingError
+from tests.harness.full_disk import full_disk
 
 
 def test_a_run_folder_is_locked_until_it_is_finished(tmp_path):
@@ -43,6 +44,12 @@ def test_a_file_at_the_path_of_the_runs_folder_is_named(tmp_path):
     (tmp_path / "runs").write_text("a file", encoding="utf-8")
     with pytest.raises(RecordingError, match="runs: cannot write results"):
         RunFolder(tmp_path / "runs", "one")
+
+
+def test_a_run_folder_that_cannot_be_marked_is_removed(tmp_path):
+    with full_disk(0), pytest.raises(RecordingError, match="cannot write results: File too large"):
+        RunFolder(tmp_path, "one")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_folder_that_cannot_be_finished_is_kept(tmp_path):
