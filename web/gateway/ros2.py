@@ -50,6 +50,9 @@ MAX_REQUESTS = 10
 _ATTACHMENT = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid\x10")
 _ATTACHMENT_BYTES = sum(map(len, _ATTACHMENT)) + 8 + 8 + 16
 
+#: Subscribers' threads are those of the connections, so that a client's first command comes after its token.
+_in_order = partial(zenoh.handlers.Callback, indirect=False)
+
 
 class Client(NamedTuple):
     """Zenoh session that publishes a command."""
@@ -161,13 +164,12 @@ class Ros2Outlet:
                 else session.declare_publisher(key, congestion_control=drop)
             )
             self._publishers[name] = _Publisher(publisher, gid_of(token), count(1))
-        self._declared.append(
-            live.declare_subscriber(f"@ros2_lv/{ROS_DOMAIN}/*/*/*/MP/**", self._take_token, history=True)
-        )
+        tokens = f"@ros2_lv/{ROS_DOMAIN}/*/*/*/MP/*/*/*/%{self._namespace}%$*/*/*/*"
+        self._declared.append(live.declare_subscriber(tokens, _in_order(self._take_token), history=True))
         for name, each in INPUTS.items():
             # Latched commands of earlier times are not requested: an old "home" must not move the robot.
             _, key = declare("MS", name, each.kind, each.latched)
-            self._declared.append(session.declare_subscriber(key, partial(self._receive, name)))
+            self._declared.append(session.declare_subscriber(key, _in_order(partial(self._receive, name))))
         for name, service in self._services.items():
             _, key = declare("SS", name, service.kind.kind, latched=False)
             self._declared.append(session.declare_queryable(key, partial(self._request, key, service), complete=True))
@@ -239,7 +241,7 @@ class Ros2Outlet:
             self._free.release()
 
     def _receive(self, name: str, sample: zenoh.Sample) -> None:
-        """Keep a received message until its check; Zenoh calls this in a thread of the sender's connection."""
+        """Keep a received message until its check; Zenoh calls this in the thread of the sender's connection."""
         _, sent, gid = attached(b"" if sample.attachment is None else sample.attachment.to_bytes())
         client = self._clients.get(gid)
         # A longer message is refused when it is decoded.
@@ -280,11 +282,8 @@ class Ros2Outlet:
             self._publish_state(self._info)
 
     def _take_token(self, sample: zenoh.Sample) -> None:
-        """Add or remove the client of a publisher of commands; Zenoh calls this in its own thread."""
-        token = str(sample.key_expr)
-        parts = token.split("/")
-        if len(parts) != 13 or not parts[9].startswith(f"%{self._namespace}%"):
-            return
+        """Add or remove the client of a publisher of commands; called in the thread of the client's connection."""
+        parts = (token := str(sample.key_expr)).split("/")
         if sample.kind == zenoh.SampleKind.DELETE:
             self._clients.pop(gid_of(token), None)
         elif parts[9].removeprefix(f"%{self._namespace}%") in INPUTS and len(self._clients) < MAX_PUBLISHERS:

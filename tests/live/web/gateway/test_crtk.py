@@ -89,6 +89,11 @@ def command(who: Peer, word: str) -> None:
     who.send("state_command", text(word))
 
 
+def become_operator(served: Served, who: Peer) -> None:
+    command(who, "enable")
+    until(lambda: served.status()["operator"]["name"] == who.node, who.all["error"])
+
+
 def joints(values: object) -> object:
     return TYPES[JOINTS](header(), [], np.array(values), np.zeros(0), np.zeros(0))
 
@@ -137,8 +142,7 @@ def setpoint(who: Peer) -> np.ndarray:
 def test_a_client_that_is_operator_enables_moves_joints_and_homes_stages_that_are_not_homed(
     served: Served, leader: Peer
 ) -> None:
-    command(leader, "enable")
-    served.wait_for(lambda status: (status["operator"] or {}).get("name") == "leader")
+    become_operator(served, leader)
     now = leader.wait("measured_js", lambda _: True).position
     step = np.array([0.1 if name.endswith("rotation") else 0.0 for name in served.status()["joints"]])
     leader.newest.pop("operating_state")
@@ -178,8 +182,7 @@ def test_a_client_that_is_operator_enables_moves_joints_and_homes_stages_that_ar
 def test_streamed_poses_of_the_joints_are_checked_followed_and_stopped(
     served: Served, leader: Peer, other: Peer
 ) -> None:
-    command(leader, "enable")
-    served.wait_for(lambda status: (status["operator"] or {}).get("name") == "leader")
+    become_operator(served, leader)
 
     def measured() -> np.ndarray:
         leader.newest.pop("measured_js", None)
@@ -250,8 +253,7 @@ def test_services_answer_kinematics_and_the_state_while_the_robot_rests(served: 
 
 
 def test_move_cp_is_busy_until_the_tip_has_arrived_and_needs_a_run_for_targets(served: Served, leader: Peer) -> None:
-    command(leader, "enable")
-    served.wait_for(lambda status: (status["operator"] or {}).get("name") == "leader")
+    become_operator(served, leader)
     start = setpoint(leader)
     leader.send("move_cp", pose(start + 0.002 * UP))
     leader.error("no run for external targets is active")
@@ -319,8 +321,7 @@ def test_a_second_client_is_refused_but_its_hold_stops_the_robot(served: Served,
 
 
 def test_every_state_is_shown_and_enable_never_clears_a_fault(served: Served, leader: Peer) -> None:
-    command(leader, "enable")
-    served.wait_for(lambda status: (status["operator"] or {}).get("name") == "leader")
+    become_operator(served, leader)
     command(leader, "pause")
     state(leader, "PAUSED")
     command(leader, "enable")
@@ -345,8 +346,7 @@ def test_every_state_is_shown_and_enable_never_clears_a_fault(served: Served, le
     assert not leader.newest["operating_state"].is_homed
     served.ready()
     state(leader, "ENABLED")
-    command(leader, "enable")
-    served.wait_for(lambda status: (status["operator"] or {}).get("name") == "leader")
+    become_operator(served, leader)
     command(leader, "disable")
     leader.wait("warning", lambda message: "no command that removes power" in message.data)
     served.wait_for(lambda status: status["state"] == "STOPPED" and status["operator"]["name"] is None)
