@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from playwright.sync_api import Browser, Locator, Page, Request, ViewportSize, expect, sync_playwright
 
@@ -95,7 +96,7 @@ def press_escape(page: Page) -> None:
 
     On a busy computer the data may become old between a wait for current data and a press of the keyboard.
     """
-    page.wait_for_function(ESCAPE, polling=50)
+    until(lambda: page.evaluate(ESCAPE))  # wait_for_function takes the promise of an async function for true
 
 
 def press_until(page: Page, press: Callable[[], object], happened: Callable[[], bool]) -> None:
@@ -146,11 +147,16 @@ def open_tab(page: Page, name: str) -> None:
 
 
 @contextmanager
-def bare_page(browser: Browser, station: Served, query: str = "") -> Iterator[Page]:
-    """Yield the page of a separate client without the scene, because drawing the scene occupies a processor."""
-    context = browser.new_context(viewport=SIZE)
+def bare_page(
+    browser: Browser, station: Served, query: str = "", script: str = VISITED, **options: Any
+) -> Iterator[Page]:
+    """Yield the page of a separate client without the scene, because drawing the scene occupies a processor.
+
+    `script` runs before those of the page; `options` are those of the browser's context.
+    """
+    context = browser.new_context(**{"viewport": SIZE, **options})
     context.set_default_timeout(PATIENCE)
-    context.add_init_script(VISITED)
+    context.add_init_script(script)
     page = context.new_page()
     page.route("**/viser/**", lambda route: route.abort())
     page.goto(f"{station.url}/{query}")

@@ -69,6 +69,15 @@ def page(station: Served, open_page: Page) -> Page:
 
 
 @pytest.fixture
+def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
+    """A page that welcomes its user."""
+    with bare_page(browser, station, script="") as page:
+        page.locator("#welcome").wait_for()
+        yield page
+    station.rest.delete("/api/queue")
+
+
+@pytest.fixture
 def picture(tmp_path: Path) -> Callable[[Page, str], None]:
     """Take a picture of the page; the folder CTR_STATION_PICTURES keeps the pictures."""
     folder = Path(os.environ.get("CTR_STATION_PICTURES", tmp_path))

@@ -4,14 +4,14 @@ The frame of the scene is excluded: its contents are viser's page, which this pr
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Literal
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
-from tests.harness.chromium import PATIENCE, open_tab, press_escape, press_until, press_until_asked, wait_until_loaded
+from tests.harness.chromium import open_tab, press_escape, press_until, press_until_asked
 from tests.harness.serving import Served
 from tests.harness.waiting import until
 
@@ -70,20 +70,6 @@ def recorded_run(page: Page) -> None:
     open_tab(page, "runs")
     # The list is replaced when the newest run arrives, perhaps during the press.
     press_until(page, page.locator("#runs .card").first.click, page.locator(".result").is_visible)
-
-
-@pytest.fixture
-def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 1280, "height": 720})
-    context.set_default_timeout(PATIENCE)
-    page = context.new_page()
-    page.route("**/viser/**", lambda route: route.abort())
-    page.goto(station.url)
-    page.locator("#welcome").wait_for()
-    wait_until_loaded(page)
-    yield page
-    context.close()
-    station.rest.delete("/api/queue")
 
 
 def queue_runs(station: Served) -> bool:

@@ -1,35 +1,14 @@
 """First visit, help, command palette, and the title of the page; STOP works above all of them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.harness.chromium import (
-    PATIENCE,
-    SIZE,
-    VISITED,
-    press_escape,
-    press_until,
-    press_until_sent,
-    wait_until_loaded,
-)
+from tests.harness.chromium import VISITED, bare_page, press_escape, press_until, press_until_sent, wait_until_loaded
 from tests.harness.serving import Served
 
 HOLD = {"trajectory": {"kind": "hold"}, "duration": 600.0}
-
-
-@pytest.fixture
-def first_visit(station: Served, browser: Browser) -> Iterator[Page]:
-    context = browser.new_context(viewport=SIZE)
-    context.set_default_timeout(PATIENCE)
-    page = context.new_page()
-    page.route("**/viser/**", lambda route: route.abort())
-    page.goto(station.url)
-    page.locator("#welcome").wait_for()
-    wait_until_loaded(page)
-    yield page
-    context.close()
 
 
 def help_dialog(page: Page) -> None:
@@ -184,36 +163,28 @@ Object.defineProperty(document, 'hidden', {get: () => window.away === true, conf
 def test_end_of_a_run_and_a_stop_are_notified_by_title_icon_sound_and_browser(
     station: Served, browser: Browser
 ) -> None:
-    context = browser.new_context(viewport=SIZE, permissions=["notifications"])
-    context.set_default_timeout(PATIENCE)
-    context.add_init_script(VISITED + SPY)
-    page = context.new_page()
-    page.route("**/viser/**", lambda route: route.abort())
-    page.goto(station.url)
-    page.locator("#state", has_text="READY").wait_for()
-    wait_until_loaded(page)
-    help_dialog(page)
-    for name in ("sound at the end", "notification of the browser"):
-        page.get_by_role("checkbox", name=name).check()
-    page.get_by_role("button", name="Close", exact=True).click()
-    ready_icon, tones = page.locator("#icon").get_attribute("href"), page.evaluate("tones")
-    page.evaluate("window.away = true")
-    # The page reports the end only of a run that it has seen, which takes a busy computer some seconds.
-    station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 8.0})
-    page.wait_for_function("() => document.title.startsWith('complete · hold')")
-    page.wait_for_function("() => noted.length === 1 && noted[0].startsWith('The run is complete: hold')")
-    page.wait_for_function("tones => window.tones > tones", arg=tones)
-    page.evaluate(
-        "() => { window.away = false; document.dispatchEvent(new Event('visibilitychange')); window.away = true; }"
-    )
-    page.wait_for_function("() => document.title === 'ctr-station'")
-    station.post("/api/start", HOLD)
-    page.locator("#state", has_text="RUNNING").wait_for()
-    page.locator("#stop").click()
-    page.wait_for_function("() => noted.length === 2 && noted[1].startsWith('STOPPED: ')")
-    assert page.title() == "STOPPED"
-    expect(page.locator("#icon")).not_to_have_attribute("href", ready_icon)
-    context.close()
+    with bare_page(browser, station, script=VISITED + SPY, permissions=["notifications"]) as page:
+        help_dialog(page)
+        for name in ("sound at the end", "notification of the browser"):
+            page.get_by_role("checkbox", name=name).check()
+        page.get_by_role("button", name="Close", exact=True).click()
+        ready_icon, tones = page.locator("#icon").get_attribute("href"), page.evaluate("tones")
+        page.evaluate("window.away = true")
+        # The page reports the end only of a run that it has seen, which takes a busy computer some seconds.
+        station.post("/api/start", {"trajectory": {"kind": "hold"}, "duration": 8.0})
+        page.wait_for_function("() => document.title.startsWith('complete · hold')")
+        page.wait_for_function("() => noted.length === 1 && noted[0].startsWith('The run is complete: hold')")
+        page.wait_for_function("tones => window.tones > tones", arg=tones)
+        page.evaluate(
+            "() => { window.away = false; document.dispatchEvent(new Event('visibilitychange')); window.away = true; }"
+        )
+        page.wait_for_function("() => document.title === 'ctr-station'")
+        station.post("/api/start", HOLD)
+        page.locator("#state", has_text="RUNNING").wait_for()
+        page.locator("#stop").click()
+        page.wait_for_function("() => noted.length === 2 && noted[1].startsWith('STOPPED: ')")
+        assert page.title() == "STOPPED"
+        expect(page.locator("#icon")).not_to_have_attribute("href", ready_icon)
 
 
 def test_demo_of_the_first_visit_starts_with_one_press(first_visit: Page, station: Served) -> None:

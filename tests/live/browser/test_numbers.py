@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from tests.harness.chromium import PATIENCE, SIZE, VISITED, open_tab, press_until_asked, wait_until_loaded
+from tests.harness.chromium import bare_page, open_tab, press_until_asked
 from tests.harness.serving import Served
 
 #: Entries that are accepted, and how the field then shows them.
@@ -24,16 +24,9 @@ REFUSED = [
 def pose_page(request: pytest.FixtureRequest, running: Served, browser: Browser) -> Iterator[Page]:
     """The tab Jog in a browser of this language."""
     running.ready()
-    context = browser.new_context(viewport=SIZE, locale=request.param)
-    context.set_default_timeout(PATIENCE)
-    context.add_init_script(VISITED)
-    page = context.new_page()
-    page.route("**/viser/**", lambda route: route.abort())
-    page.goto(running.url)
-    wait_until_loaded(page)
-    open_tab(page, "jog")
-    yield page
-    context.close()
+    with bare_page(browser, running, locale=request.param) as page:
+        open_tab(page, "jog")
+        yield page
 
 
 def typed(field: Locator, text: str) -> None:
