@@ -3,12 +3,13 @@
 import struct
 from collections.abc import Iterator
 from io import BytesIO
+from operator import attrgetter
 from typing import IO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk, ChunkIndex
+from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.summary import Summary
 from zstandard import ZstdError
@@ -70,20 +71,16 @@ def messages(content: bytes, topic: int | None = None) -> Iterator[ChunkMessage]
 def chunks_with(file: IO[bytes], summary: Summary, topic: int) -> Iterator[bytes | None]:
     """Yield the content of each chunk with messages of a topic, in the order of the file; None where it is damaged.
 
-    The index of a recovered recording has only its intact chunks, so there None stands for bytes between two chunks.
+    The index of a recovered recording has only its intact chunks; other bytes between two chunks are a damaged chunk.
     """
-
-    def offset(index: ChunkIndex) -> int:
-        return index.chunk_start_offset
-
     after = None
-    for index in sorted(summary.chunk_indexes, key=offset):
-        if after not in (None, offset(index)):
+    for index in sorted(summary.chunk_indexes, key=attrgetter("chunk_start_offset")):
+        if after not in (None, index.chunk_start_offset):
             yield None
-        after = offset(index) + index.chunk_length + index.message_index_length
+        after = index.chunk_start_offset + index.chunk_length + index.message_index_length
         if topic in index.message_index_offsets:
             try:
-                file.seek(offset(index))
+                file.seek(index.chunk_start_offset)
                 record = file.read(index.chunk_length)
             except OSError:  # a bad sector of the disk
                 record = b""

@@ -86,7 +86,7 @@ class CrtkCommands:
             self._seen[message.client] = self._now()
         self._forget_absent()
         try:
-            if message.name == "hold" or message.text == "pause":
+            if message.stops:
                 self._stop(message)
             elif message.name == "present":
                 self._lease.renew(message.client)
@@ -109,10 +109,6 @@ class CrtkCommands:
         match message.text:
             case "enable":
                 self._enable(message, state)
-            case "disable":
-                self._stop(message)
-                self._lease.release(message.client)
-                self._tell("warning", "disable has stopped the robot; the station has no command that removes power")
             case "resume":
                 self._execute(message, Reset(who=self._name(message), of_fault=False))
             case "home":
@@ -281,6 +277,9 @@ class CrtkCommands:
         self._stop_again = message
         if self._stops is None or self._stops.done():
             self._stops = asyncio.create_task(self._send_stops())
+        if message.text == "disable":
+            self._lease.release(message.client)
+            self._tell("warning", "disable has stopped the robot; the station has no command that removes power")
 
     async def _send_stops(self) -> None:
         while (message := self._stop_again) is not None:

@@ -75,6 +75,11 @@ class CrtkMessage(NamedTuple):
         """Whether the command is a motion with an end (`move_*` or `home`), during which the robot is busy."""
         return self.name.startswith("move_") or self.text == "home"
 
+    @property
+    def stops(self) -> bool:
+        """Whether the command stops the robot, for every sender; it must not be lost."""
+        return self.name == "hold" or self.text in {"pause", "disable"}
+
 
 class CrtkText(NamedTuple):
     """Message from station to gateway: a text for the clients of ROS 2."""
@@ -198,7 +203,7 @@ class _Gateway:
             from web.gateway.ros2 import Ros2Outlet
 
             now = self._setup.clock.now
-            ros2 = Ros2Outlet(self._setup.robot, self._channels, options.namespace, self._send_command, now, self._note)
+            ros2 = Ros2Outlet(self._setup.robot, self._channels, options.namespace, self._send, now, self._note)
             outlets.append(ros2)
             lines.append(f"ROS 2 is {ros2.open(options.ros2)}{_open_to(options.ros2)}")
             self._report = ros2.report
@@ -222,17 +227,9 @@ class _Gateway:
         self._target = TargetMessage(position, sent, self._setup.clock.now())
 
     def _send_target(self) -> None:
-        """Send the newest target if the station process can take it now; never waits."""
-        if self._target is not None and takes_message(self._pipe):
-            self._pipe.send(self._target)
+        """Send the newest target if the station process can take it now."""
+        if self._target is not None and self._send(self._target):
             self._target = None
-
-    def _send_command(self, command: CrtkMessage) -> bool:
-        """Send a command if the station process can take it now; return whether it was sent."""
-        if takes_message(self._pipe):
-            self._pipe.send(command)
-            return True
-        return False
 
     def _note(self, text: str) -> None:
         """Queue a text for the station's log; a repeated text is not queued again."""
@@ -240,11 +237,16 @@ class _Gateway:
             self._notes.setdefault(text, False)
 
     def _send_note(self) -> None:
-        """Send the oldest waiting note if the station process can take it now; never waits."""
+        """Send the oldest waiting note if the station process can take it now."""
         text = next((text for text, sent in self._notes.items() if not sent), None)
-        if text is not None and takes_message(self._pipe):
-            self._pipe.send(GatewayNote(text))
+        if text is not None and self._send(GatewayNote(text)):
             self._notes[text] = True
+
+    def _send(self, message: TargetMessage | CrtkMessage | GatewayNote) -> bool:
+        """Send a message if the station process can take it now; return whether it was sent, and never wait."""
+        if ready := takes_message(self._pipe):
+            self._pipe.send(message)
+        return ready
 
     def _end(self) -> None:
         self._ended = True

@@ -21,6 +21,7 @@ import zenoh
 from zenoh.ext import AdvancedPublisher, CacheConfig, declare_advanced_publisher
 
 from station.config.robots import RobotFile
+from station.control.states import RefusedError
 from station.control.telemetry import Channels
 from web.access.gate import is_loopback
 from web.gateway.cdr import MAX_MESSAGE_BYTES, BadMessage
@@ -50,7 +51,7 @@ MAX_REQUESTS = 10
 _ATTACHMENT = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid\x10")
 _ATTACHMENT_BYTES = sum(map(len, _ATTACHMENT)) + 8 + 8 + 16
 
-#: Subscribers' threads are those of the connections, so that a client's first command comes after its token.
+#: Called in the thread of a client's connection, so that its token is taken before its first command, in their order.
 _in_order = partial(zenoh.handlers.Callback, indirect=False)
 
 
@@ -261,23 +262,27 @@ class Ros2Outlet:
                 arrived, self._waiting = self._waiting, {}
             for (name, _), waiting in sorted(arrived.items(), key=lambda item: item[0][0] != "hold"):
                 for received in waiting:
-                    self._take(name, INPUTS[name], received)
+                    await self._take(name, INPUTS[name], received)
             await asyncio.sleep(READ_INTERVAL_S)
 
-    def _take(self, name: str, each: Input, received: _Received) -> None:
-        """Check a received command and send it to the station process; refuse it with the reason."""
+    async def _take(self, name: str, each: Input, received: _Received) -> None:
+        """Check and send a command, or refuse it with the reason; a stop waits until the station can take it."""
         client = received.client
         try:
             content = each.parse(self._robot, each.kind.decode(received.data))
-        except BadMessage as error:
+            command = CrtkMessage(name, *client, self._may_operate, self._now(), received.sent, *content)
+            while not self._send(command):
+                if not command.stops:
+                    raise RefusedError("the station is busy; send it again")
+                await asyncio.sleep(READ_INTERVAL_S)
+        except (BadMessage, RefusedError) as error:
             self.refused[name] += 1
             if str(self.refused[name]).rstrip("0") == "1":  # the 1st, 10th, 100th ...
                 text = f"{name} of '{client.node}' is refused ({self.refused[name]} so far): {error}"
                 self._log(f"ROS 2: {text}")
                 self.report(CrtkText("error", text))
             return
-        command = CrtkMessage(name, *client, self._may_operate, self._now(), received.sent, *content)
-        if self._send(command) and command.ends:
+        if command.ends:
             self._moves += 1
             self._publish_state(self._info)
 

@@ -2,14 +2,14 @@
 
 import asyncio
 import time
-from contextlib import closing
+from contextlib import asynccontextmanager, closing, contextmanager
 
 import pytest
 from zenoh.ext import Int64, z_serialize
 
 from station.config.robots import load_robot
 from station.control.telemetry import Channels
-from tests.harness.crtk_peer import LATCHED, STAMPED_STRING, Peer, text
+from tests.harness.crtk_peer import EMPTY, LATCHED, STAMPED_STRING, TYPES, Peer, text
 from tests.harness.serving import free_port
 from web.gateway.options import LOOPBACK, ListenAddress
 from web.gateway.ros2 import Ros2Outlet, attached, gid_of
@@ -36,29 +36,76 @@ def test_a_damaged_attachment_names_no_sender(damaged):
     assert attached(damaged) == (0, None, b"")
 
 
+@asynccontextmanager
+async def opened(port, send, log=pytest.fail):
+    file = load_robot("paper")
+    outlet = Ros2Outlet(file, Channels(file.robot()), "CTR", send, time.monotonic, log)
+    outlet.open(ListenAddress(LOOPBACK, port))
+    try:
+        yield outlet
+    finally:
+        await outlet.close()
+
+
+@contextmanager
+def client(port, node="node"):
+    """A node that is gone afterwards."""
+    with closing(Peer(port, node)) as peer:
+        peer.advertise("state_command", STAMPED_STRING, LATCHED)
+        peer.advertise("hold", EMPTY)
+        yield peer
+
+
 def test_the_first_command_of_a_client_has_the_name_of_its_node():
     """The command follows directly after the token from which the name is known; each client may disturb this order."""
     nodes, port = [f"node{number}" for number in range(50)], free_port()
 
-    async def commands():
-        file, received = load_robot("paper"), asyncio.Queue()
-
-        def send(message):
-            received.put_nowait(message)
-            return True
-
-        outlet = Ros2Outlet(file, Channels(file.robot()), "CTR", send, time.monotonic, pytest.fail)
-        outlet.open(ListenAddress(LOOPBACK, port))
-        try:
-            for node in nodes:
-                with closing(Peer(port, node)) as peer:
-                    peer.advertise("state_command", STAMPED_STRING, LATCHED)
-                    peer.send("state_command", text("enable"))
-                    yield await received.get()
-        finally:
-            await outlet.close()
-
     async def names():
-        return [command.node async for command in commands()]
+        received = asyncio.Queue()
+        async with opened(port, lambda command: received.put_nowait(command) is None):
+            for node in nodes:
+                with client(port, node) as peer:
+                    peer.send("state_command", text("enable"))
+                    yield (await received.get()).node
 
-    assert asyncio.run(names()) == nodes
+    async def all_names():
+        return [name async for name in names()]
+
+    assert asyncio.run(all_names()) == nodes
+
+
+STOPS = [("hold", TYPES[EMPTY]()), ("state_command", text("pause")), ("state_command", text("disable"))]
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=["hold", "pause", "disable"])
+def test_while_the_station_takes_no_message_a_stop_waits_and_other_commands_are_refused(stop):
+    port, log = free_port(), []
+
+    async def first_command():
+        received, tried, ready, refused = asyncio.Queue(), asyncio.Event(), asyncio.Event(), asyncio.Event()
+
+        def send(command):
+            tried.set()
+            if ready.is_set():
+                received.put_nowait(command)
+            return ready.is_set()
+
+        def note(line):
+            log.append(line)
+            refused.set()
+
+        async with opened(port, send, note):
+            with client(port) as peer:
+                peer.send("state_command", text("home"))
+                await refused.wait()
+                tried.clear()
+                peer.send(*stop)
+                await tried.wait()
+                ready.set()
+                return await received.get()
+
+    command = asyncio.run(first_command())
+    name, message = stop
+    assert command.name == name
+    assert command.text == getattr(message, "string", "")
+    assert log == ["ROS 2: state_command of 'node' is refused (1 so far): the station is busy; send it again"]
