@@ -206,3 +206,50 @@ def test_saved_motion_is_replaced_only_after_confirmation_and_can_be_loaded(teac
     assert station.post("/api/start", {"experiment": "taught_here"}).status_code == 202
     station.wait_for(lambda status: status["state"] == "RUNNING" and status["run"]["title"].startswith("taught here: "))
     station.post("/api/stop")
+
+
+def pause(count: int) -> str:
+    """Return a file of waypoints at the start, one each second."""
+    return "\n".join(f"{second}, 0, 0, 0" for second in range(1, count + 1))
+
+
+def test_stop_does_not_wait_for_a_long_table_and_a_longer_one_is_refused(teach: Page) -> None:
+    choose(teach, pause(60_000))
+    says(teach, "60000 waypoints are too many; at most 10000 are possible. Remove some, or divide the motion")
+    choose(teach, pause(60_000).ljust(2_000_000))
+    says(teach, "The file has 2000000 bytes; at most 1100000 are possible, enough for 10000 waypoints.")
+    assert len(table(teach)) == 0
+    teach.locator("#tab-start").focus()
+    choose(teach, pause(10_000))
+    teach.keyboard.press("Shift+Space")
+    expect(teach.locator("#state")).to_have_text("STOPPED")
+    says(teach, "✓ according to the model, the tip reaches all 10000, the last one at 10000 s")
+
+
+def test_long_table_is_shown_in_parts_and_takes_no_row_beyond_the_limit(teach: Page) -> None:
+    def shows(first: int, last: int, bad: str = "") -> None:
+        expect(teach.get_by_text(f"waypoints {first} to {last} of ")).to_be_visible()
+        expect(teach.locator("tr.place")).to_have_count(last + 1 - first)
+        expect(teach.locator("tr.place.bad td:first-child")).to_have_text([bad] if bad else [])
+
+    choose(teach, pause(250) + "\n7, 0, 0, 0")
+    shows(201, 251, bad="251")
+    teach.locator("#tab-start").focus()  # while a cell has the focus, the shown part stays
+    choose(teach, pause(150) + "\n190, 0, 120, 0")
+    shows(101, 151, bad="151")
+    expect(teach.locator("svg.way circle.bad")).to_have_count(2)  # in both views
+    choose(teach, pause(10_000))
+    shows(1, 100)
+    for button, first in (("next", 101), ("previous", 1), ("previous", 9901)):
+        teach.get_by_label(f"{button} 100 waypoints").click()
+        shows(first, first + 99)
+    teach.get_by_role("button", name="Add a row").click()
+    says(teach, "10001 waypoints are too many")
+    teach.get_by_label("delete waypoint 10000").click()
+    shows(9901, 9999)
+    teach.get_by_role("button", name="Add a row").click()
+    shows(9901, 10_000)
+    rows = "rows: Array.from({ length: 10001 }, (_, i) => [i + 1, 0, 0, 0]), origin: null"
+    teach.evaluate(f"() => sessionStorage.setItem('places', JSON.stringify({{ {rows} }}))")
+    teach.reload()
+    says(teach, "No waypoint yet")
