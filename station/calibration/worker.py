@@ -18,7 +18,11 @@ from station.calibration.plan import PlanSubject
 from station.calibration.procedure import AbortedError, Answer, GuidedProcedure, Step, SwingRecord
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess
+from station.control.clock import StationClock
+from station.control.guard import Rank, watching
 from station.control.realtime import processor_time, set_process_name
+from station.control.ring import Ring
+from station.control.telemetry import Channels
 from station.devices.aurora.tracker import TrackerMounting
 
 #: Niceness of the worker process, which gives it a lower priority than all processes with deadlines.
@@ -58,12 +62,15 @@ class JobFailed(NamedTuple):
 WorkerMessage = Step | JobFinished | JobFailed
 
 
-def run_worker(job: CalibrationJob, pipe: Connection, _parent: int) -> None:
+def run_worker(job: CalibrationJob, ring_name: str, clock: StationClock, pipe: Connection, parent: int) -> None:
     """Run the worker process: send steps through `pipe` and receive an answer to each."""
     set_process_name("ctr-calibrate")
     if hasattr(os, "nice"):
         os.nice(NICENESS)
-    with contextlib.suppress(EOFError, OSError):  # the station process has closed the pipe
+    with (
+        watching(ring_name, len(Channels(job.robot.robot())), Rank.CALIBRATION, clock, parent),
+        contextlib.suppress(EOFError, OSError),  # the station process has closed the pipe
+    ):
         try:
             _run_procedure(job, pipe)
         except CtrError as error:
@@ -97,12 +104,12 @@ class FailedError(CtrError):
 class WorkerHost:
     """Owner of one worker process."""
 
-    def __init__(self, job: CalibrationJob, stalled: float = STALLED_S) -> None:
+    def __init__(self, job: CalibrationJob, ring: Ring, clock: StationClock, stalled: float = STALLED_S) -> None:
         """Start the worker, which takes a while to send its first step.
 
         `stalled`: time without processor use after which the worker counts as stalled [s].
         """
-        self._child = ChildProcess(run_worker, job, name="calibration")
+        self._child = ChildProcess(run_worker, job, ring.name, clock, name="calibration")
         self._stalled, self._used, self._since = stalled, -1.0, time.monotonic()
 
     def receive(self, timeout: float) -> Step | JobFinished | None:

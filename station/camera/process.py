@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from station.camera.messages import CameraOrder, CameraPicture, CameraReport, EndVideo, ShowBoard, StartVideo, Watch
 from station.config.robots import RobotFile
 from station.control.clock import StationClock
-from station.control.guard import BackgroundWatch, Rank
+from station.control.guard import Rank, watching
 from station.control.realtime import set_process_name
 from station.control.ring import BALL_PORT, Ring
 from station.devices.cameras import CameraFile
@@ -63,16 +63,13 @@ def run_camera(setup: CameraSetup, pipe: Connection, parent: int) -> None:
     set_process_name("ctr-camera")
     if not setup.tracks:
         os.nice(NICENESS)
-    ring = Ring(setup.ring_width, setup.ring_name)
-    watch, capture = BackgroundWatch(ring, Rank.CAMERA, setup.clock), _Capture(setup, ring, pipe)
-    try:
-        with contextlib.suppress(EOFError, OSError):  # the station process has ended
-            while not signals and os.getppid() == parent and capture.step():
-                pass
-    finally:
-        watch.close()
-        capture.close()
-        ring.close(remove=os.getppid() != parent)
+    with (
+        watching(setup.ring_name, setup.ring_width, Rank.CAMERA, setup.clock, parent) as ring,
+        contextlib.closing(_Capture(setup, ring, pipe)) as capture,
+        contextlib.suppress(EOFError, OSError),  # the station process has ended
+    ):
+        while not signals and os.getppid() == parent and capture.step():
+            pass
 
 
 class _Capture:

@@ -1,9 +1,8 @@
 """The guard: stops the stages when neither the control process nor the station process can do it any more.
 
-Each process of the station that lives as long as the station keeps a `Watch`. When the control process has ended or is
-suspended, the first process in the order of `Rank` that still runs stops the stages; usually this is the station
-process (`service/fallback_stop.py`), and after it the guard. The guard is a process that does nothing else: it has no
-files, no clients and little memory, and ignores every signal that can be ignored.
+Each other process of the station keeps a `Watch`. When the control process has ended or is suspended, the first process
+in the order of `Rank` that still runs stops the stages; usually this is the station process (`fallback_stop.py`), and
+after it the guard, which does nothing else: it has no files and no clients, and ignores all signals that it can ignore.
 """
 
 import contextlib
@@ -13,6 +12,7 @@ import select
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from enum import IntEnum
 from multiprocessing.connection import Connection
 from typing import Any
@@ -41,7 +41,7 @@ PRIORITY = 45
 class Rank(IntEnum):
     """Order in which the processes stop the stages in place of the control process."""
 
-    STATION, GUARD, RECORDER, GATEWAY, CAMERA = range(RANKS)
+    STATION, GUARD, RECORDER, GATEWAY, CAMERA, CALIBRATION = range(RANKS)
 
 
 def brief(ring: Ring, bench: BenchFile, robot: RobotFile) -> None:
@@ -116,12 +116,8 @@ class Watch:
                 text = str(error) or text
         if stopped and int(self._ring.counters[DRIVER]) == driver:
             self._ring.counters[DRIVER] = 0
-        _tell(f"ctr-station: {text}")
-
-
-def _tell(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # the terminal may be closed
-        sys.stderr.write(f"{text}\n")
+        with contextlib.suppress(OSError, ValueError):  # the terminal may be closed
+            sys.stderr.write(f"ctr-station: {text}\n")
 
 
 class BackgroundWatch:
@@ -142,6 +138,18 @@ class BackgroundWatch:
         while not self._closing.wait(self._clock.real(LOOK_INTERVAL_S)):
             self._watch.look()
         self._watch.finish()
+
+
+@contextlib.contextmanager
+def watching(ring_name: str, width: int, rank: Rank, clock: StationClock, parent: int) -> Iterator[Ring]:
+    """Open the telemetry ring in a process with another task, which keeps a watch at `rank` meanwhile."""
+    ring = Ring(width, ring_name)
+    watch = BackgroundWatch(ring, rank, clock)
+    try:
+        yield ring
+    finally:
+        watch.close()
+        ring.close(remove=os.getppid() != parent)
 
 
 def run_guard(ring_name: str, width: int, clock: StationClock, pipe: Connection, parent: int) -> None:

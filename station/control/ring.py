@@ -30,7 +30,7 @@ RING_ROWS = 4096  #: number of rows in the ring: about 8 s at 500 Hz
 HISTOGRAM_BINS = 5001  #: number of bins of 1 us in a histogram; the last bin counts all values from 5 ms on
 
 #: Number of ranks of processes that may stop the stages (`guard.py`).
-RANKS = 5
+RANKS = 6
 #: Indices of the counters. DRIVER_IN_CALL is the number of the custom driver or loop that is being called, from 1; 0 if
 #: there is none. GENERATION is the number of requested STOPs and resets; only the station process writes it. DRIVEN is
 #: 1 after a control process of this station has opened the stages. PREPARED_LATE is the number of functions that were
@@ -218,22 +218,12 @@ class Ring:
 
     def close(self, *, remove: bool) -> None:
         """Detach from the segment; `remove` also deletes it, which is the task of the process that created it."""
-        del (
-            self.counters,
-            self.numbers,
-            self._truth,
-            self._request_cells,
-            self.late,
-            self.busy,
-            self._rows,
-            self._briefing,
-        )
+        del self.counters, self.numbers, self.late, self.busy
+        del self._truth, self._request_cells, self._rows, self._briefing
         self._memory.close()
         if remove:
-            try:
+            with contextlib.suppress(FileNotFoundError):  # another process has removed the segment after a crash
                 self._memory.unlink()
-            except FileNotFoundError:
-                return  # another process has removed the segment after a crash
 
 
 def _new_name() -> str:

@@ -151,7 +151,7 @@ class CalibrationSession:
         """Execute the procedure until it is done, aborted or failed."""
         ending, why = SessionStage.FAILED, "the procedure has ended unexpectedly"
         try:
-            with contextlib.closing(WorkerHost(self._job)) as guide:
+            with contextlib.closing(WorkerHost(self._job, self._supervisor.ring, self._clock)) as guide:
                 step = self._next_step(guide, "selecting the first poses")
                 while not isinstance(step, JobFinished):
                     guide.answer(self._execute(step))

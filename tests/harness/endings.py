@@ -59,6 +59,11 @@ def _run_out_of_memory(station: MortalStation) -> None:
     station.signal(signal.SIGKILL, max(scores, key=scores.__getitem__))
 
 
+#: Only the process that plans and computes a calibration is left.
+WORKER_LEFT: Mapping[str, Ending] = {
+    f"{number.name} to all but calibrate": lambda station, number=number: station.signal(number, *PROCESSES)
+    for number in (signal.SIGKILL, signal.SIGSTOP)
+}
 ENDINGS: Mapping[str, Ending] = {
     "terminal closed": _close_terminal,
     "session dropped": _drop_session,

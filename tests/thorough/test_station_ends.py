@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from station.lab.simulated_stages import STAGES
-from tests.harness.endings import DEADLY, ENDINGS, HARMLESS
+from tests.harness.endings import DEADLY, ENDINGS, HARMLESS, WORKER_LEFT
 from tests.harness.mortal_station import HELPERS, MOTIONS, mortal_station, moving
 from tests.harness.watched_lab import WatchedLab
 
@@ -20,12 +20,15 @@ def words(value: object) -> str:
     return str(value).replace(" ", "-")
 
 
-@pytest.mark.parametrize(("ending", "stages", "motion"), list(product(ENDINGS, STAGES, MOTIONS)), ids=words)
+CELLS = [*product(ENDINGS, STAGES, MOTIONS), *product(WORKER_LEFT, STAGES, ["calibration"])]
+
+
+@pytest.mark.parametrize(("ending", "stages", "motion"), CELLS, ids=words)
 def test_stages_stop_however_the_station_ends(ending: str, stages: str, motion: str, tmp_path: Path) -> None:
     lab_name = "breathing" if motion == "follow" else "gentle"
     with WatchedLab(stages=stages, lab=lab_name) as lab, mortal_station(lab, tmp_path) as station:
         begin = moving(station, motion)
-        ENDINGS[ending](station)
+        {**ENDINGS, **WORKER_LEFT}[ending](station)
         sys.stdout.write(f"last step after {lab.rest_after(begin):.3f} s: {ending}, {stages}, {motion}\n")
 
 

@@ -6,6 +6,7 @@ change of its state, and None to end the gateway process.
 """
 
 import asyncio
+import contextlib
 import os
 import signal
 from collections.abc import Awaitable, Callable
@@ -17,7 +18,7 @@ from core.robot.robot import Array
 from station.config.robots import RobotFile
 from station.control.child_process import takes_message
 from station.control.clock import StationClock
-from station.control.guard import BackgroundWatch, Rank
+from station.control.guard import Rank, watching
 from station.control.realtime import move_off_core, set_process_name
 from station.control.ring import Ring
 from station.control.telemetry import Channels
@@ -121,16 +122,11 @@ def run_gateway(setup: GatewaySetup, ring_name: str, pipe: Connection, parent: i
     """Run the gateway process until the station process ends it."""
     set_process_name("ctr-gateway")
     move_off_core(setup.core, [os.getpid()])
-    robot = setup.robot.robot()
-    ring = Ring(len(Channels(robot)), ring_name)
-    watch = BackgroundWatch(ring, Rank.GATEWAY, setup.clock)
-    try:
+    with (
+        watching(ring_name, len(Channels(setup.robot.robot())), Rank.GATEWAY, setup.clock, parent) as ring,
+        contextlib.suppress(EOFError, ConnectionError),  # the station process has ended
+    ):
         asyncio.run(_Gateway(setup, ring, pipe).run(parent))
-    except (EOFError, ConnectionError):
-        return  # the pipe is closed because the station process has ended
-    finally:
-        watch.close()
-        ring.close(remove=os.getppid() != parent)
 
 
 class _Gateway:

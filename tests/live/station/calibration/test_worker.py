@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,9 @@ import pytest
 
 from station.calibration.procedure import AbortedError
 from station.calibration.worker import CalibrationJob, WorkerHost
+from station.control.clock import REAL_TIME_CLOCK
+from station.control.ring import Ring
+from station.control.telemetry import Channels
 from station.lab.aurora_coil import GENERATOR_POSE
 
 
@@ -21,14 +25,21 @@ def job(paper, tmp_path: Path) -> CalibrationJob:
     )  # fmt: skip
 
 
+@pytest.fixture
+def ring(job) -> Iterator[Ring]:
+    ring = Ring(len(Channels(job.robot.robot())))
+    yield ring
+    ring.close(remove=True)
+
+
 def listen(worker: WorkerHost) -> None:
     """Receive messages of the worker until it raises an error."""
     while True:
         worker.receive(0.05)
 
 
-def test_stopped_worker_ends_the_procedure_with_the_reason(job):
-    worker = WorkerHost(job, stalled=1.0)
+def test_stopped_worker_ends_the_procedure_with_the_reason(job, ring):
+    worker = WorkerHost(job, ring, REAL_TIME_CLOCK, stalled=1.0)
     try:
         os.kill(worker._child.pid, signal.SIGSTOP)
         with pytest.raises(AbortedError, match="has used no processor time for 1 s"):
@@ -38,8 +49,8 @@ def test_stopped_worker_ends_the_procedure_with_the_reason(job):
         worker.close()
 
 
-def test_stopped_worker_can_be_ended(job):
-    worker = WorkerHost(job)
+def test_stopped_worker_can_be_ended(job, ring):
+    worker = WorkerHost(job, ring, REAL_TIME_CLOCK)
     os.kill(worker._child.pid, signal.SIGSTOP)
     worker.close()
     assert not worker._child.alive
