@@ -1,8 +1,8 @@
 """The guard: stops the stages when neither the control process nor the station process can do it any more.
 
-Each other process of the station keeps a `Watch`. When the control process has ended or is suspended, the first process
-in the order of `Rank` that still runs stops the stages; usually this is the station process (`fallback_stop.py`), and
-after it the guard, which does nothing else: it has no files and no clients, and ignores all signals that it can ignore.
+All other processes of the station keep a `Watch`. When the control process has ended or is suspended, the first one in
+the order of `Rank` that still runs stops the stages: usually the station process (`service/fallback_stop.py`), after it
+the guard. The guard does nothing else: it has no files and no clients, and ignores all signals that can be ignored.
 """
 
 import contextlib

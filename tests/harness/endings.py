@@ -59,8 +59,8 @@ def _run_out_of_memory(station: MortalStation) -> None:
     station.signal(signal.SIGKILL, max(scores, key=scores.__getitem__))
 
 
-#: Only the process that plans and computes a calibration is left.
-WORKER_LEFT: Mapping[str, Ending] = {
+#: Endings of a calibration, of which only the process that plans and computes is left.
+OF_CALIBRATIONS: Mapping[str, Ending] = {
     f"{number.name} to all but calibrate": lambda station, number=number: station.signal(number, *PROCESSES)
     for number in (signal.SIGKILL, signal.SIGSTOP)
 }
@@ -81,4 +81,5 @@ ENDINGS: Mapping[str, Ending] = {
         for name in PROCESSES
         for whom, names in ((name, [name]), (f"all but {name}", _but(name)))
     },
+    **OF_CALIBRATIONS,
 }

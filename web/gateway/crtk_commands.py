@@ -273,7 +273,7 @@ class CrtkCommands:
     # Stop, clients and texts
 
     def _stop(self, message: CrtkMessage) -> None:
-        """Stop every axis; stops that arrive meanwhile are merged into one more."""
+        """Stop every axis, and end the lease by `disable`; stops that arrive meanwhile are merged into one more."""
         self._stop_again = message
         if self._stops is None or self._stops.done():
             self._stops = asyncio.create_task(self._send_stops())

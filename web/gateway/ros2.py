@@ -51,7 +51,7 @@ MAX_REQUESTS = 10
 _ATTACHMENT = (b"\x0fsequence_number", b"\x10source_timestamp", b"\x0asource_gid\x10")
 _ATTACHMENT_BYTES = sum(map(len, _ATTACHMENT)) + 8 + 8 + 16
 
-#: Called in the thread of a client's connection, so that its token is taken before its first command, in their order.
+#: Handler that Zenoh calls in the thread of a client's connection: it receives the token before the first command.
 _in_order = partial(zenoh.handlers.Callback, indirect=False)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.harness.endings import ENDINGS, WORKER_LEFT
+from tests.harness.endings import ENDINGS
 from tests.harness.mortal_station import mortal_station, moving
 from tests.harness.watched_lab import WatchedLab
 
@@ -34,7 +34,7 @@ CAUSES = {
 def test_stages_stop_however_the_station_ends(ending: str, stages: str, motion: str, tmp_path: Path) -> None:
     with WatchedLab(stages=stages) as lab, mortal_station(lab, tmp_path) as station:
         begin = moving(station, motion)
-        {**ENDINGS, **WORKER_LEFT}[ending](station)
+        ENDINGS[ending](station)
         sys.stdout.write(f"last step after {lab.rest_after(begin):.3f} s: {ending}, {stages}, {motion}\n")
 
 

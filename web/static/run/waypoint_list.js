@@ -111,6 +111,7 @@ export function firstError() {
 // ---- waypoints as a CSV file, one per line: time [s], x, y, z relative to the tip at the start, in millimetres or metres
 
 export const UNITS = { mm: 1e-3, m: 1 };
+const NAMES = ["time", "x", "y", "z"];
 
 /**
  * Return {rows} of a file in SI, or {wrong}: why the file is refused, with its first invalid line. `unit` is the unit of
@@ -127,7 +128,7 @@ export async function readCsv(file, unit) {
     const cells = line.split(/\s*[,;\t]\s*|\s+/).filter((cell) => cell !== ""), values = cells.map(Number);
     const bad = values.findIndex((value) => !Number.isFinite(value));
     if (bad >= 0) return { wrong: `line ${number + 1}: '${cells[bad].slice(0, 20)}' is not a number; a line is time, x, y, z` };
-    if (values.length !== 4) return { wrong: `line ${number + 1}: ${values.length} numbers; a line is time [s], x, y, z` };
+    if (values.length !== NAMES.length) return { wrong: `line ${number + 1}: ${values.length} numbers; a line is time [s], x, y, z` };
     rows.push(values.map((value, i) => (i === 0 ? value : value * scale)));
   }
   return rows.length ? { rows } : { wrong: "the file has no waypoint: a line is time [s], x, y, z" };
