@@ -104,8 +104,10 @@ def advance(history: Array, sent: Array, period: float, wait: float, moved: Arra
 
 #: Indices of the scalars at the start of an estimate's array: number of joints; number of ticks with stored velocities;
 #: number of stored tips; index of the newest tip; whether the observer used a tracker frame in this tick; number of
-#: frames in a row that the observer rejected.
-JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT = range(6)
+#: frames in a row that the observer rejected; number of ticks since it used a frame.
+JOINT_COUNT, DELAY_TICKS, HISTORY_TICKS, NEWEST_INDEX, FRAME_USED, REJECTED_COUNT, UNUSED_TICKS = range(7)
+#: Number of these scalars.
+SCALAR_COUNT = UNUSED_TICKS + 1
 #: Time constant with which the smoothed force approaches the filtered force [s].
 SMOOTHING_TIME_S = 30.0
 
@@ -183,11 +185,11 @@ VECTOR_COUNT = len(ESTIMATES)
 @compiled
 def _shapes(n: int, ticks: int, history: int) -> Shapes:
     """Return the shapes of an estimate's array: scalars, `vectors`, `directions`, `ahead`, `sent`, `tips`."""
-    return (1, 6), (VECTOR_COUNT, 3), (1, n), (1, n), (ticks, n), (history, 3)
+    return (1, SCALAR_COUNT), (VECTOR_COUNT, 3), (1, n), (1, n), (ticks, n), (history, 3)
 
 
 #: Index of the estimated force at the tip in an estimate's array.
-FORCE_START = REJECTED_COUNT + 1 + 3 * EstimateFields._fields.index("load")
+FORCE_START = SCALAR_COUNT + 3 * EstimateFields._fields.index("load")
 
 
 @compiled
@@ -221,7 +223,7 @@ class _Vector:
     """Attribute that reads one vector (3,) of an estimate, faster than `known`, which creates views of all vectors."""
 
     def __set_name__(self, owner: type, name: str) -> None:
-        start = REJECTED_COUNT + 1 + 3 * EstimateFields._fields.index(name)
+        start = SCALAR_COUNT + 3 * EstimateFields._fields.index(name)
         self._where = slice(start, start + 3)
 
     def __get__(self, estimate: "Estimate", owner: type | None = None) -> Array:
@@ -256,7 +258,7 @@ class Estimate:
     @property
     def vectors(self) -> Array:
         """Numbers of `ESTIMATES`, in their order."""
-        return self.numbers[REJECTED_COUNT + 1 : REJECTED_COUNT + 1 + 3 * VECTOR_COUNT]
+        return self.numbers[SCALAR_COUNT : SCALAR_COUNT + 3 * VECTOR_COUNT]
 
     @property
     def model_tip(self) -> Array:
@@ -270,7 +272,7 @@ class Estimate:
         known, newest = self.known, int(self.numbers[NEWEST_INDEX])
         return ObserverState(
             known.bias, known.drift, known.bias_covariance, known.tips, newest, self.numbers[FRAME_USED] > 0.0,
-            known.refused, int(self.numbers[REJECTED_COUNT]),
+            known.refused, int(self.numbers[REJECTED_COUNT]), int(self.numbers[UNUSED_TICKS]),
         )  # fmt: skip
 
 
@@ -387,9 +389,9 @@ def estimate(
         new.delta_2[i] = old.delta_2[i] + extra_travel
         new.velocity_observed[i] = by_force + by_joints
         new.tip_ahead[i] = model_tip[i] + travel + lead_time * by_force
-    numbers[NEWEST_INDEX], numbers[FRAME_USED], numbers[REJECTED_COUNT] = observe(
+    numbers[NEWEST_INDEX], numbers[FRAME_USED], numbers[REJECTED_COUNT], numbers[UNUSED_TICKS] = observe(
         new.bias, new.drift, new.bias_covariance, new.tips, new.refused, int(last[NEWEST_INDEX]),
-        int(last[REJECTED_COUNT]),
+        int(last[REJECTED_COUNT]), int(last[UNUSED_TICKS]),
         model_tip, frame, age, period, noise, wander, gate,
     )  # fmt: skip
     for i in range(3):

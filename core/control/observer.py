@@ -15,9 +15,11 @@ delayed and noisy. The difference, the bias b of the model, changes slowly with 
 A Kalman filter estimates b and its rate b', with one covariance for the three axes. A tracker frame is compared with
 the model's tip *at the time of the frame's measurement*, from a short history. The frame corrects the present bias
 through the measurement matrix H = [1, -age]. Without frames the covariance grows; the displayed uncertainty follows
-from this covariance. A frame whose innovation (measured minus expected tip) exceeds the gate is rejected as an outlier.
-After `REACQUIRE_FRAMES` rejected frames in a row whose differences from the model agree with each other, the observer
-assumes that a cause outside the model has moved the tip, and initialises the bias again, with the rate zero.
+from this covariance. Since the last frame that it used, the bias is extrapolated for at most `LONGEST_S` and by at most
+`FARTHEST_M`; then it is constant. A frame whose innovation (measured minus expected tip) exceeds the gate is rejected
+as an outlier. After `REACQUIRE_FRAMES` rejected frames in a row whose differences from the model agree with each other,
+the observer assumes that a cause outside the model has moved the tip, and initialises the bias again, with the rate
+zero.
 
 **Tip velocity from tracker frames** that the joints do not cause, X'_meas - J(q, w) q' of eqs. (28) and (29). This
 velocity is the difference quotient of two tracker frames, minus the tip motion that the joints cause between them. The
@@ -146,6 +148,9 @@ def steady_gain(period: float, bandwidth: float) -> tuple[float, float]:
 FIRST_DRIFT_STD_M_S = 1e-3
 #: Number of rejected frames in a row that agree with each other, at which the observer accepts the frames.
 REACQUIRE_FRAMES = 8
+#: Longest time [s] and largest distance [m] by which the bias is extrapolated after the last frame that was used. A
+#: drift that few noisy frames have shown must not move the tip; an outer loop ends within the same time.
+LONGEST_S, FARTHEST_M = 0.25, 3e-3
 
 
 class ObserverState(NamedTuple):
@@ -159,6 +164,7 @@ class ObserverState(NamedTuple):
     used: bool  #: whether a tracker frame arrived in this tick and passed the gate
     refused: Array  #: (3,) measured tip minus the model's tip in the latest rejected frame [m]
     in_a_row: int  #: number of frames rejected in a row
+    unused: int  #: number of ticks since a frame was used
 
     @property
     def model_tip(self) -> Array:
@@ -209,7 +215,7 @@ class Observer:
         tips = np.tile(model_tip, (max(2, math.ceil(self.longest_age / self.period)), 1))
         covariance = np.array((self.noise**2, 0.0, FIRST_DRIFT_STD_M_S**2))
         return ObserverState(
-            _finite(tip, "measured tip") - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0
+            _finite(tip, "measured tip") - model_tip, np.zeros(3), covariance, tips, 0, True, np.zeros(3), 0, 0
         )
 
     def update(self, last: ObserverState, model_tip: Array, tip: Array | None, age: float = 0.0) -> ObserverState:
@@ -228,25 +234,30 @@ class Observer:
         if tip is not None:
             _finite(tip, "measured tip")
         bias, drift, covariance, tips, refused = (part.copy() for part in (*last[:4], last.refused))
-        newest, used, in_a_row = observe(
-            bias, drift, covariance, tips, refused, last.newest, last.in_a_row, model_tip,
+        newest, used, in_a_row, unused = observe(
+            bias, drift, covariance, tips, refused, last.newest, last.in_a_row, last.unused, model_tip,
             last.bias if tip is None else tip, -1.0 if tip is None else age,
             self.period, self.noise**2, self.wander, self.gate,
         )  # fmt: skip
-        return ObserverState(bias, drift, covariance, tips, newest, used, refused, in_a_row)
+        return ObserverState(bias, drift, covariance, tips, newest, used, refused, in_a_row, unused)
 
 
 @compiled
 def observe(
     bias: Array, drift: Array, covariance: Array, tips: Array, refused: Array, newest: int, in_a_row: int,
-    model_tip: Array, tip: Array, age: float, period: float, noise: float, wander: float, gate: float,
-) -> tuple[int, bool, int]:  # fmt: skip
+    unused: int, model_tip: Array, tip: Array, age: float, period: float, noise: float, wander: float, gate: float,
+) -> tuple[int, bool, int, int]:  # fmt: skip
     """Compute `Observer.update` in place; an `age` below 0 means that there is no tracker frame.
 
-    Returns the index of the newest tip, whether the frame was used, and the number of frames rejected in a row.
+    Returns the index of the newest tip, whether the frame was used, the number of frames rejected in a row, and the
+    number of ticks since a frame was used.
     """
     ticks = tips.shape[0]
-    newest = (newest + 1) % ticks
+    newest, unused = (newest + 1) % ticks, unused + 1
+    since = period * unused
+    speed = math.sqrt(drift[0] ** 2 + drift[1] ** 2 + drift[2] ** 2)
+    if since > LONGEST_S or since * speed > FARTHEST_M:
+        drift[:] = 0.0
     for k in range(3):
         tips[newest, k] = model_tip[k]
         bias[k] += period * drift[k]
@@ -285,14 +296,14 @@ def observe(
                 pc, cv = p, -age * v
                 expected = pc - age * cv + noise
         if used:
-            in_a_row = 0
+            in_a_row, unused = 0, 0
             gain_bias, gain_drift = pc / expected, cv / expected
             for k in range(3):
                 bias[k] += gain_bias * innovation[k]
                 drift[k] += gain_drift * innovation[k]
             p, c, v = p - gain_bias * pc, c - gain_bias * cv, v - gain_drift * cv
     covariance[0], covariance[1], covariance[2] = p, c, v
-    return newest, used, in_a_row
+    return newest, used, in_a_row, unused
 
 
 def _finite(measured: Array, what: str, cause: str = "") -> Array:

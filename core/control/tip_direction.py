@@ -110,14 +110,14 @@ class _DirectionFields(NamedTuple):
     drift: Array  #: (3,) rate of this bias [m/s]
     covariance: Array  #: (3,) covariance elements of bias and drift, as in `observer.ObserverState`
     refused: Array  #: (3,) measured head minus the model's head in the latest rejected tracker frame [m]
-    counts: Array  #: (2,) index of the newest arrow; number of frames rejected in a row
+    counts: Array  #: (3,) index of the newest arrow; number of frames rejected in a row; ticks since a frame was used
     arrows: Array  #: (history, 3) heads of the model's arrow in the last ticks [m]
 
 
 @compiled
 def _shapes(size: int) -> Shapes:
     """Return the shapes of the `_DirectionFields` in an array of `size` values; `arrows` takes the remainder."""
-    return (5, 3), (1, 3), (1, 3), (1, 3), (1, 3), (1, 2), ((size - 29) // 3, 3)
+    return (5, 3), (1, 3), (1, 3), (1, 3), (1, 3), (1, 3), ((size - 30) // 3, 3)
 
 
 @compiled
@@ -155,7 +155,7 @@ def start_direction(
 ) -> DirectionEstimate:
     """Return the estimate of a tip at rest with `direction` (3,); `model` (3,) is the model's tip direction."""
     first = estimator.observer.start(ARROW_LENGTH_M * model, ARROW_LENGTH_M * direction)
-    counts = np.array((first.newest, first.in_a_row), dtype=np.float64)
+    counts = np.array((first.newest, first.in_a_row, first.unused), dtype=np.float64)
     direction = direction.copy()
     return DirectionEstimate(direction, direction if origin is None else origin, np.concatenate(
         (direction, direction, np.zeros(9), first.bias, first.drift, first.covariance, first.refused, counts,
@@ -214,15 +214,15 @@ def _update_direction(
         travel[i] += lead_time * by_load
         now[2, i], now[3, i] = by_load, by_load + extra
     model = ARROW_LENGTH_M * (axis + _cross(smooth, axis))
-    weight, _, in_a_row = observe(
-        bias, drift, covariance, arrows, refused, int(counts[0]), int(counts[1]),
+    newest, _, in_a_row, unused = observe(
+        bias, drift, covariance, arrows, refused, int(counts[0]), int(counts[1]), int(counts[2]),
         model, ARROW_LENGTH_M * frame, age, period, noise, wander, gate,
     )  # fmt: skip
     observed = _unit(model + bias)
     copy(observed, now[0])
     copy(_unit(model + bias + lead_time * drift + ARROW_LENGTH_M * _cross(travel, axis)), now[1])
     copy(_cross(observed, drift) / ARROW_LENGTH_M, now[4])
-    counts[0], counts[1] = weight, in_a_row
+    counts[0], counts[1], counts[2] = newest, in_a_row, unused
 
 
 class DirectionTask(NamedTuple):

@@ -53,6 +53,7 @@ from station.control.task import (
     TimedMotion,
 )
 from station.control.telemetry import Channels, TickRecord
+from station.control.tracker_monitor import TrackerMonitor
 from station.devices.interfaces import (
     Condition,
     DeviceFault,
@@ -122,6 +123,7 @@ class ControlLoop:
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
+        self._frames = TrackerMonitor()
         self._target = TargetTrack()
         self._contact_start = 0.0  # start of the contact of a tip that holds a force [s]; 0 without contact
         self._no_wrenches = controller.no_zeros  # readings of a bench without force sensors
@@ -133,11 +135,12 @@ class ControlLoop:
 
     @property
     def warning(self) -> str:
-        """Warning about the controller's model; empty without one."""
-        if self._memory is None or self.controller.estimator.residual is None:
+        """Warnings about the tracker's noise and the controller's model; empty without one."""
+        if self._memory is None:
             return ""
-        known = self._memory.estimate.known
-        return RESIDUAL_OFF if known.residual_state[FACTOR] < 1.0 else ""
+        corrects = self.controller.estimator.residual is not None
+        off = corrects and self._memory.estimate.known.residual_state[FACTOR] < 1.0
+        return "; ".join(filter(None, (self._frames.warning, RESIDUAL_OFF if off else "")))
 
     @property
     def cause_details(self) -> str:
@@ -260,6 +263,10 @@ class ControlLoop:
         self.progress = Progress(task, Phase.APPROACHING)
         self._snap = self._snap_monitor(task.margins or self._margins)
 
+    def _begin_monitors(self, margins: Margins) -> None:
+        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(margins)
+        self._frames.begin()
+
     def _snap_monitor(self, margins: Margins) -> SnapMonitor:
         return SnapMonitor(margins, self.controller, knows_force=self.controller.senses)
 
@@ -330,7 +337,7 @@ class ControlLoop:
         self._end_rest()
         if self._memory is not None:
             self._memory = restart_setpoints_here(self._memory)
-        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
+        self._begin_monitors(self._margins)
 
     def set_stiffness(self, now: float, axes: tuple[float, float, float]) -> None:
         """Change the stiffness of the tip along its axes [N/m], within `RAMP_S`, until the end of the present motion.
@@ -414,9 +421,13 @@ class ControlLoop:
         # The first tracker frames after a snap are rejected as outliers, so this STOP may follow a HOLD.
         if snap is not None and (self.state is State.RUNNING or snap.severity is Severity.STOP):
             self._act_on(snap, now)
-        if self.state is State.RUNNING and isinstance(order, Setpoint) and frame is not None:
-            stalled = self._stall.check(now, tick, self.controller.limits, self.controller.aim.floor)
-            self._act_on(DeviceFault(Severity.HOLD, stalled) if stalled else None, now)
+        if frame is not None:
+            self._frames.update(self.controller.estimator.observer, tick.memory.estimate.observed, tick.memory.tip, age)
+            if self.state is State.RUNNING and isinstance(order, Setpoint):
+                cause = self._frames.check() or self._stall.check(
+                    now, tick, self.controller.limits, self.controller.aim.floor
+                )
+                self._act_on(DeviceFault(Severity.HOLD, cause) if cause else None, now)
         if self._zero is not None:
             removed = removed_force(self.controller, self._zero, tick.memory.estimate.loaded)
             self._overload.update(now, tick.load.force + removed, self.controller.limits.overload)
@@ -561,7 +572,7 @@ class ControlLoop:
         except CtrError as error:
             self._act_on(DeviceFault(Severity.HOLD, str(error)), now)
             return False
-        self._stall, self._snap = ProgressMonitor(), self._snap_monitor(task.margins or self._margins)
+        self._begin_monitors(task.margins or self._margins)
         if task.follow is not None:
             self._target.follow(task.follow, task.controller, tip)
             self._motion = self._target

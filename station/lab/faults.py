@@ -37,6 +37,7 @@ FaultKind = Literal[
     "lose_target",
     "unplug",
     "jump",
+    "noise",
     "saturate",
     "freeze",
     "bad_status",
@@ -56,7 +57,7 @@ class FaultProperties(NamedTuple):
     lasts: bool = True
 
 
-PROBABILITY, MAX_DELAY_S, MAX_JUMP_M = 1.0, 60.0, 0.5
+PROBABILITY, MAX_DELAY_S, MAX_JUMP_M, MAX_NOISE_M = 1.0, 60.0, 0.5, 0.1
 SERIAL_TARGETS: tuple[Part, ...] = ("stages", "tracker", "sensor")
 FAULT_TARGETS: tuple[Part, ...] = ("stages", "joint", "tracker", "sensor")
 FAULT_KINDS: dict[FaultKind, FaultProperties] = {
@@ -80,6 +81,9 @@ FAULT_KINDS: dict[FaultKind, FaultProperties] = {
     "unplug": FaultProperties("The plug of the coil at the tip is pulled.", ("tracker",)),
     "jump": FaultProperties("The measured position of the tip moves by this distance along the world's x axis.",
         ("tracker",), MAX_JUMP_M, "m"),
+    "noise": FaultProperties(
+        "The measured positions have additional noise with this standard deviation on each axis.",
+        ("tracker",), MAX_NOISE_M, "m"),
     "saturate": FaultProperties("The force sensor reads as overloaded.", ("sensor",)),
     "freeze": FaultProperties("The device repeats one sample or frame.", ("tracker", "sensor")),
     "bad_status": FaultProperties("The sensor's box reports a failure of its analog board.", ("sensor",)),
@@ -104,7 +108,7 @@ class LabFault(Strict):
     duration: Positive | None = None
     """duration of the fault [s]; None: permanent"""
     value: Positive | None = None
-    """size of the fault: a probability, a delay [s] or a jump [m]"""
+    """size of the fault: a probability, a delay [s], a jump [m] or noise [m]"""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -272,6 +276,7 @@ def aurora_faults(active: Sequence[Incident]) -> AuroraFaults:
         tool_lost="lose_tool" in kinds,
         target_lost="lose_target" in kinds,
         jump=_worst(mine, "jump"),
+        noise=_worst(mine, "noise"),
         freeze="freeze" in kinds,
     )
 

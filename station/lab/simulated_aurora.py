@@ -50,6 +50,7 @@ class AuroraFaults:
     tool_lost: bool = False  #: the coil is not visible
     target_lost: bool = False  #: the target's coil is not visible
     jump: float = 0.0  #: offset of the coil's position along the world's x [m]
+    noise: float = 0.0  #: standard deviation of additional noise of the coil's position on each axis [m]
     freeze: bool = False  #: no new frame is measured
 
 
@@ -90,6 +91,7 @@ class SimulatedAurora:
         self._coil = Coil(config, rng, mount)
         self._line_noise = rng.spawn(1)[0]
         self._target = Coil(config, rng.spawn(1)[0], mount, self._coil.distortion) if target else None
+        self._fault_noise = rng.spawn(1)[0]
         self._firmware, self._lacks = firmware, lacks
         self._initialised = False
         self._character = 10  # number of bits of a character on the line
@@ -119,8 +121,10 @@ class SimulatedAurora:
         if self._target is not None and target is not None and not self.faults.freeze:
             self._target.advance(start, end, *target, None, self.faults.target_lost)
         if self._coil.due <= end + 1e-9 and not self.faults.freeze:
-            if self.faults.jump:
-                offset = np.array([self.faults.jump, 0.0, 0.0])
+            offset = np.array([self.faults.jump, 0.0, 0.0])
+            if self.faults.noise:
+                offset += self.faults.noise * self._fault_noise.standard_normal(3)
+            if offset.any():
                 tip_start, tip_end = tip_start + offset, tip_end + offset
             self._coil.advance(start, end, tip_start, tip_end, direction, self.faults.tool_lost)
 

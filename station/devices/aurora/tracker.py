@@ -25,6 +25,12 @@ from station.devices.links.link import Link, LinkError, SerialLink, reopen
 SILENCE_TIMEOUT_S = 0.1
 #: A motion ends in the state HOLD after this time without a good position [s].
 BLIND_TIMEOUT_S = 0.25
+#: Lasting additional delay of the frames that is reported [s], and its warning.
+LATE_S = 0.02
+LATE = (
+    "the tracker's frames arrive {:.0f} ms later than at first, so that their times may be wrong: check what delays"
+    " them (cable, hub, other programs), or calibrate the latency"
+)
 
 
 #: Pose of the field generator in the world: p_world = rotation @ p_tracker + position.
@@ -71,9 +77,11 @@ class AuroraTracker:
                 self._lost = str(error)
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return a WARN after 0.1 s without a good position, and a HOLD after 0.25 s or if the port is lost."""
+        """Return a WARN after 0.1 s without a position or if frames are late, a HOLD after 0.25 s or a lost port."""
         rate = self._session.clock.wrong_rate
         if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost and rate is None:
+            if (late := self._session.clock.shift) > LATE_S:
+                return DeviceFault(Severity.WARN, LATE.format(1e3 * late), f"tracker on {self._link.name}")
             return None if self._settings.target is None else self._target_trouble(now, self._settings.target)
         quality, age, trouble = self.report(now)
         because = ""

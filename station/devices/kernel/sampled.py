@@ -31,8 +31,9 @@ CONTINUING_S = 0.3
 #: Indices of a clock's state. RATE of the counter [1/s]; largest DRIFT [s/s]; OFFSET: time at which the counter was 0;
 #: SEEN, CONFIRMED: times of the last sample and of the last one with the least delay; UNTIL: end of the present block;
 #: LEAST, FIRST: offset of the least delayed sample of the present block, and of the span's first block (..._AT: time);
-#: RISE of the offset in the last span with too large a change [s/s]; LATE blocks; least LATENCY of a message [s].
-RATE, DRIFT, OFFSET, SEEN, CONFIRMED, UNTIL, LEAST, LEAST_AT, FIRST, FIRST_AT, RISE, LATE, LATENCY = range(13)
+#: RISE of the offset in the last span with too large a change [s/s]; LATE blocks; least LATENCY of a message [s];
+#: SHIFT of the offset to that of later samples [s].
+RATE, DRIFT, OFFSET, SEEN, CONFIRMED, UNTIL, LEAST, LEAST_AT, FIRST, FIRST_AT, RISE, LATE, LATENCY, SHIFT = range(14)
 
 
 @compiled
@@ -42,6 +43,7 @@ def _end_block(clock: Array, count: float, now: float) -> None:
     clock[LEAST], clock[UNTIL] = np.inf, now + BLOCK_S
     clock[LATE] = clock[LATE] + 1.0 if least - clock[OFFSET] > JITTER_S else 0.0
     if clock[LATE] >= LATE_BLOCKS:
+        clock[SHIFT] += least - clock[OFFSET]
         clock[OFFSET], clock[LATE] = least, 0.0
     if clock[FIRST] == np.inf:
         clock[FIRST], clock[FIRST_AT] = least, at
@@ -68,6 +70,8 @@ def _observe(clock: Array, count: float, now: float) -> float:
         clock[UNTIL] = now + BLOCK_S
     drifted = clock[OFFSET] + clock[DRIFT] * (now - clock[SEEN])
     if offset <= drifted:
+        if clock[OFFSET] - offset > 0.25 * JITTER_S:
+            clock[SHIFT] = max(0.0, clock[SHIFT] - (clock[OFFSET] - offset))
         clock[OFFSET], clock[CONFIRMED] = offset, now
     else:
         clock[OFFSET] = drifted
@@ -106,7 +110,7 @@ class SampleClock:
             wrap: number of different counts, after which the counter starts again at 0; 0: the counter never wraps.
         """
         self._expected, self._drift, self._latency, self._wrap = rate, drift, latency, wrap
-        self.state = np.zeros(13)  #: state for compiled code
+        self.state = np.zeros(SHIFT + 1)  #: state for compiled code
         self._time = -math.inf
         observe(self.state + 1.0, 0, 0.0)  # load the compiled code now, because that takes longer than a tick
         _end_block(self.state + 1.0, 0.0, 0.0)
@@ -117,7 +121,7 @@ class SampleClock:
         self._start(self._expected, self._drift)
 
     def _start(self, rate: float, drift: float) -> None:
-        self.state[:] = rate, drift, np.inf, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0, 0.0, 0.0, self._latency
+        self.state[:] = rate, drift, np.inf, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0, 0.0, 0.0, self._latency, 0.0
         self._count, self._doubted = 0, list[tuple[int, float]]()
         self._candidate = 0.0  # rate of the doubted samples before those in `_doubted` [1/s]
 
@@ -131,6 +135,14 @@ class SampleClock:
         """Measured rate of the counter [1/s]; None if it is the expected one."""
         rate = float(self.state[RATE])
         return rate if abs(rate - self._expected) > max(MAX_RATE_ERROR, self._drift) * self._expected else None
+
+    @property
+    def shift(self) -> float:
+        """Time by which all samples arrive later than earlier ones did, and which their times do not contain [s].
+
+        Either the delay has increased, so that the samples are older than their times, or the counter has paused.
+        """
+        return float(self.state[SHIFT])
 
     def observe(self, count: float, now: float) -> float:
         """Record that sample `count` arrived at `now` [s], and return the time of its measurement [s]."""

@@ -7,7 +7,16 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.linalg import solve_discrete_are
 
-from core.control.observer import NO_FRAMES, USUAL_GAINS, Observer, RateFilter, differentiate, steady_gain
+from core.control.observer import (
+    FARTHEST_M,
+    LONGEST_S,
+    NO_FRAMES,
+    USUAL_GAINS,
+    Observer,
+    RateFilter,
+    differentiate,
+    steady_gain,
+)
 from core.errors import DescriptionError, NotFinite
 
 PERIOD = 0.002
@@ -223,6 +232,30 @@ def test_observed_tip_follows_the_model_in_a_tracker_drop_out_and_its_uncertaint
     np.testing.assert_allclose(bench.error, 0.0, atol=1e-5)  # the tip has moved on by 40 mm meanwhile
     bench.run(1.0)
     assert bench.seen.uncertainty < 2.0 * before
+
+
+@pytest.mark.parametrize(("speed", "distance"), [(4e-3, 4e-3 * LONGEST_S), (0.02, FARTHEST_M)])
+def test_a_bias_that_grows_is_extrapolated_for_a_bounded_time_and_distance(speed, distance):
+    bench = Bench(Observer(PERIOD), lambda time: np.array([speed * time, 0.0, 0.0]))
+    used = bench.run(5.0).bias[0]
+    ends = [bench.run(0.5, blind=True).bias[0] for _ in range(4)]
+
+    # The newest frame that was used is younger than a period of the tracker.
+    assert ends[0] - used == pytest.approx(distance, abs=1.1 * FRAME * speed)
+    assert ends == [ends[0]] * 4
+    assert bench.seen.drift.tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("noise", [1e-3, 3e-3, 1e-2])
+def test_frames_with_more_noise_than_expected_do_not_move_the_estimate_far_from_the_true_tip(noise):
+    bench = Bench(Observer(PERIOD), lambda _: CONSTANT)
+    bench.run(2.0)
+    bench.noise = noise
+    farthest = 0.0
+    for _ in range(800):
+        bench.run(0.05)
+        farthest = max(farthest, float(np.linalg.norm(bench.error)))
+    assert farthest < 3.0 * noise + 2.0 * FARTHEST_M
 
 
 def test_observer_rejects_a_jump_of_the_tip_and_accepts_it_when_it_lasts():

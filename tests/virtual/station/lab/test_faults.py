@@ -69,6 +69,7 @@ def with_faults(**changes: object) -> list[object]:
         ("lose_target", "tracker", None, with_faults(tracker=AuroraFaults(target_lost=True))),
         ("freeze", "tracker", None, with_faults(tracker=AuroraFaults(freeze=True))),
         ("jump", "tracker", 0.05, with_faults(tracker=AuroraFaults(jump=0.05))),
+        ("noise", "tracker", 0.002, with_faults(tracker=AuroraFaults(noise=0.002))),
         ("flip_bits", "tracker", 0.1, with_faults(tracker=AuroraFaults(flip=0.1))),
         ("delay", "tracker", 0.04, with_faults(tracker=AuroraFaults(delay=0.04))),
         ("saturate", "sensors", None, with_faults(inner=NetftFaults(saturate=True), outer=NetftFaults(saturate=True))),

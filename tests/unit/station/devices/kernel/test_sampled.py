@@ -126,6 +126,18 @@ def test_counter_that_pauses_shifts_the_clock_within_some_seconds():
     assert found[-1] == pytest.approx(799 / 40.0 + 0.4, abs=1e-3)
 
 
+def test_a_delay_that_stays_is_a_shift_until_it_ends():
+    clock, random = SampleClock(40.0, 5e-4), np.random.default_rng(2)
+    shifts = []
+    for n in range(16_000):
+        delay = 0.06 if 4_000 < n < 12_000 else 0.0
+        clock.measured(n, 1.0001 * n / 40.0 + delay + random.exponential(0.003))
+        shifts.append(clock.shift)
+    assert max(shifts[:4_000]) == 0.0
+    assert shifts[4_000 + 40 * 10 : 12_000] == pytest.approx([0.06] * len(shifts[4_400:12_000]), abs=0.015)
+    assert max(shifts[12_000 + 40 * 2 :]) < 0.015
+
+
 @pytest.mark.parametrize("wrong", [5, 99, 104, 2**31])
 def test_impossible_count_is_refused_without_effect(wrong):
     clock = SampleClock(40.0, 5e-4, wrap=1 << 32)
