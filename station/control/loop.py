@@ -117,7 +117,6 @@ class ControlLoop:
         self._moved = False  # whether anything has moved since the first reading
         self._overload = ForceMonitor()
         self._pressed: Array | None = None  # force (3,) of a press that has not left its obstacle [N]
-        self._untouched = False  # whether a person has confirmed that nothing touches the robot during the tare
         self.contact = ""  #: why the tip may have contact after the last motion, tare or reset; empty without contact
         self._rest: SettlePhase | None = None  # measurement at rest, before a motion or for a requested tare
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
@@ -284,7 +283,7 @@ class ControlLoop:
             raise RefusedError(f"'tare' is not possible: this bench has no force sensors for the whole load{instead}")
         if not untouched:
             self._refuse_contact(now)
-        self._rest, self._untouched = SettlePhase(now), untouched
+        self._rest = SettlePhase(now, untouched=untouched)
 
     def _refuse_contact(self, now: float) -> None:
         self.contact = self._contact(now)
@@ -307,7 +306,9 @@ class ControlLoop:
     def _end_rest(self) -> None:
         """End an unfinished tare before a motion; if nothing has moved so far, its readings become the zero."""
         rest, self._rest = self._rest, None
-        if rest is not None and rest.counted and not self._moved and self.controller.senses and self._zero is not None:
+        if rest is None or self._zero is None or self._moved or not self.controller.senses:
+            return
+        if rest.counted and not rest.unrest:
             free = self.controller.tare(rest.wrenches, self._zero.joints)
             self._zero = replace(self._zero, free=free)
 
@@ -532,6 +533,13 @@ class ControlLoop:
                 if now >= progress.settle_start + SETTLE_S:
                     self._rest.take(wrenches, self._tip(frame))
                 return None
+            if unrest := self._rest.unrest:
+                self._rest = self._rest.again(now)
+                if self._rest is None:
+                    self._act_on(DeviceFault(Severity.HOLD, unrest), now)
+                else:
+                    self.progress = replace(progress, settle_start=now)
+                return None
             if not self._begin_motion(now, progress.motion_start, joints, self._rest, task):
                 return None
             self.progress = replace(progress, phase=Phase.MOVING)
@@ -638,7 +646,11 @@ class ControlLoop:
         if self._rest is None:
             return
         self._rest.take(wrenches, None)
-        if now - self._rest.since >= AVERAGE_S and self._memory is not None:
-            rest, self._rest, untouched, self._untouched = self._rest, None, self._untouched, False
+        if now - self._rest.since < AVERAGE_S or self._memory is None:
+            return
+        if unrest := self._rest.unrest:
+            self._rest, self.contact = self._rest.again(now), unrest
+        else:
+            rest, self._rest = self._rest, None
             tip = self._memory.estimate.observed.tip if self._moved else self._memory.origin
-            self.contact = self._set_zero(now, rest, joints, tip, untouched=untouched)
+            self.contact = self._set_zero(now, rest, joints, tip, untouched=rest.untouched)

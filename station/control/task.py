@@ -4,6 +4,7 @@ A run approaches its start pose, rests to tare the sensors and to measure the st
 motion is planned, follows a target (`follow`), or is streamed by a client. A jog lasts only while the client renews it.
 """
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, NamedTuple, Protocol
@@ -31,11 +32,21 @@ SETTLE_S = 0.5
 AVERAGE_S = 1.5
 
 
+#: Time for which a rest is repeated if the robot is not at rest [s].
+LONGEST_REST_S = 10.0
+#: Number of parts of the readings at rest whose means are compared. The robot was not at rest if they differ by more
+#: than this number of standard deviations of a mean, and by more than this force [N], moment [N m] or distance [m].
+PARTS, DEVIATIONS = 5, 7.0
+LEAST_FORCE_N, LEAST_MOMENT_N_M, LEAST_TIP_M = 0.02, 1e-3, 3e-4
+
+
 class SettlePhase:
     """Readings of the force sensors and of the tip while the robot rests, and their means."""
 
-    def __init__(self, since: float) -> None:
+    def __init__(self, since: float, begin: float | None = None, *, untouched: bool = False) -> None:
         self.since = since  #: start of the measurement [s]
+        self.untouched = untouched  #: whether a person has confirmed that nothing touches the robot meanwhile
+        self._begin = since if begin is None else begin  # start of the first of several measurements [s]
         self._wrenches: list[Array] = []
         self._tips: list[Array] = []
 
@@ -55,10 +66,45 @@ class SettlePhase:
         """Mean wrench of each sensor, one row of 6 [N, N m]."""
         return np.mean(self._wrenches, axis=0)
 
+    def again(self, now: float) -> "SettlePhase | None":
+        """Return a new measurement that starts at `now` [s]; None if the robot has not been at rest for too long."""
+        if now - self._begin >= LONGEST_REST_S:
+            return None
+        return SettlePhase(now, self._begin, untouched=self.untouched)
+
+    @property
+    def unrest(self) -> str:
+        """Why the means are no reference, because the readings changed, in one line; empty after a rest."""
+        wrenches = np.array(self._wrenches).reshape(len(self._wrenches), -1, 6)
+        for what, readings, least, unit, scale in (
+            ("the force on a sensor", wrenches[..., :3], LEAST_FORCE_N, "N", 1.0),
+            ("the moment on a sensor", wrenches[..., 3:], LEAST_MOMENT_N_M, "N mm", 1e3),
+            ("the tip's position", np.array(self._tips), LEAST_TIP_M, "mm", 1e3),
+        ):
+            change = _change(readings)
+            if change > least:
+                return (
+                    f"the robot was not at rest: {what} changed by {scale * change:.2g} {unit} (at most"
+                    f" {scale * least:.2g} {unit}); keep hands and loads off the robot, and repeat this"
+                )
+        return ""
+
     @property
     def tip(self) -> Array | None:
         """Mean position of the tip (3,) [m]; None without a tracker frame."""
         return np.mean(self._tips, axis=0) if self._tips else None
+
+
+def _change(readings: Array) -> float:
+    """Return the largest difference between the means of parts of readings (k, ...); 0 if it is below noise."""
+    if len(readings) < 2 * PARTS:
+        return 0.0
+    parts = np.array_split(readings, PARTS)
+    means = np.array([part.mean(axis=0) for part in parts])
+    scatter = np.sqrt(np.mean([part.var(axis=0) for part in parts], axis=0))
+    changes = np.ptp(means, axis=0)
+    changes[changes < DEVIATIONS * scatter / math.sqrt(len(parts[-1]))] = 0.0
+    return float(changes.max(initial=0.0))
 
 
 #: Speed of the joint with the longest travel time, as a fraction of its top speed. The other joints move slower, so
