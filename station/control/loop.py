@@ -395,7 +395,7 @@ class ControlLoop:
                     self._moved = False
                     self._zero = first_zero(self.controller, self._tare, joints.positions, now)
         tare = wrenches.wrenches if self._tare is None else self._tare
-        order = None if fault else self._order(now, joints, wrenches.wrenches, frame, request)
+        order = None if fault else self._order(now, joints, wrenches, frame, request)
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
         direction = None if frame is None else frame.direction
         measured = wrenches.wrenches - tare if self.controller.senses else self._no_wrenches
@@ -504,7 +504,12 @@ class ControlLoop:
         return self._row
 
     def _order(
-        self, now: float, joints: JointReading, wrenches: Array, frame: TipReading | None, request: StreamRequest | None
+        self,
+        now: float,
+        joints: JointReading,
+        wrenches: WrenchReading,
+        frame: TipReading | None,
+        request: StreamRequest | None,
     ) -> Setpoint | JointMotion | None:
         """Return this tick's setpoint or joint velocities, and update the progress of the run; None without motion."""
         if self._jog is not None:
@@ -642,7 +647,7 @@ class ControlLoop:
         self.progress = self._jog = None
         self.contact = self._contact(now)
 
-    def _continue_tare(self, now: float, joints: JointReading, wrenches: Array) -> None:
+    def _continue_tare(self, now: float, joints: JointReading, wrenches: WrenchReading) -> None:
         if self._rest is None:
             return
         self._rest.take(wrenches, None)

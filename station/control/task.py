@@ -24,6 +24,7 @@ from core.control.trajectories import JointMotion, Setpoint, rotated
 from core.robot.robot import Array
 from station.config.motions import FollowMotion, Orders
 from station.control.monitors import Margins
+from station.devices.interfaces import WrenchReading
 
 #: Time at rest in which the filters settle [s].
 SETTLE_S = 0.5
@@ -38,6 +39,8 @@ LONGEST_REST_S = 10.0
 #: than this number of standard deviations of a mean, and by more than this force [N], moment [N m] or distance [m].
 PARTS, DEVIATIONS = 5, 7.0
 LEAST_FORCE_N, LEAST_MOMENT_N_M, LEAST_TIP_M = 0.02, 1e-3, 3e-4
+#: Smallest number of samples that are judged, and median of the difference of two normal numbers with deviation 1.
+LEAST_SAMPLES, MEDIAN_DIFFERENCE = 20, 0.954
 
 
 class SettlePhase:
@@ -48,6 +51,7 @@ class SettlePhase:
         self.untouched = untouched  #: whether a person has confirmed that nothing touches the robot meanwhile
         self._begin = since if begin is None else begin  # start of the first of several measurements [s]
         self._wrenches: list[Array] = []
+        self._times: list[float] = []  # times of the wrenches' measurement [s]
         self._tips: list[Array] = []
 
     @property
@@ -55,9 +59,10 @@ class SettlePhase:
         """Whether there are readings."""
         return bool(self._wrenches)
 
-    def take(self, wrenches: Array, tip: Array | None) -> None:
-        """Add the wrenches of one tick (one row of 6 for each sensor) and, after a new tracker frame, its tip (3,)."""
-        self._wrenches.append(wrenches)
+    def take(self, wrenches: WrenchReading, tip: Array | None) -> None:
+        """Add the wrenches of one tick and, after a new tracker frame, its tip (3,) [m]."""
+        self._wrenches.append(wrenches.wrenches)
+        self._times.append(wrenches.time)
         if tip is not None:
             self._tips.append(tip)
 
@@ -76,12 +81,13 @@ class SettlePhase:
     def unrest(self) -> str:
         """Why the means are no reference, because the readings changed, in one line; empty after a rest."""
         wrenches = np.array(self._wrenches).reshape(len(self._wrenches), -1, 6)
-        for what, readings, least, unit, scale in (
-            ("the force on a sensor", wrenches[..., :3], LEAST_FORCE_N, "N", 1.0),
-            ("the moment on a sensor", wrenches[..., 3:], LEAST_MOMENT_N_M, "N mm", 1e3),
-            ("the tip's position", np.array(self._tips), LEAST_TIP_M, "mm", 1e3),
+        times, frames = np.array(self._times), np.arange(float(len(self._tips)))
+        for what, readings, at, least, unit, scale in (
+            ("the force on a sensor", wrenches[..., :3], times, LEAST_FORCE_N, "N", 1.0),
+            ("the moment on a sensor", wrenches[..., 3:], times, LEAST_MOMENT_N_M, "N mm", 1e3),
+            ("the tip's position", np.array(self._tips), frames, LEAST_TIP_M, "mm", 1e3),
         ):
-            change = _change(readings)
+            change = _change(readings, at)
             if change > least:
                 return (
                     f"the robot was not at rest: {what} changed by {scale * change:.2g} {unit} (at most"
@@ -95,15 +101,19 @@ class SettlePhase:
         return np.mean(self._tips, axis=0) if self._tips else None
 
 
-def _change(readings: Array) -> float:
-    """Return the largest difference between the means of parts of readings (k, ...); 0 if it is below noise."""
-    if len(readings) < 2 * PARTS:
+def _change(readings: Array, times: Array) -> float:
+    """Return the largest difference between the means of parts of readings (k, ...); 0 if it is below noise.
+
+    A sample that several ticks have read, with the same time in `times` (k,), counts once. Its noise would else be a
+    change.
+    """
+    fresh = np.diff(times, prepend=-np.inf) > 0.0
+    if fresh.sum() < LEAST_SAMPLES:
         return 0.0
-    parts = np.array_split(readings, PARTS)
-    means = np.array([part.mean(axis=0) for part in parts])
-    scatter = np.sqrt(np.mean([part.var(axis=0) for part in parts], axis=0))
-    changes = np.ptp(means, axis=0)
-    changes[changes < DEVIATIONS * scatter / math.sqrt(len(parts[-1]))] = 0.0
+    noise = np.median(np.abs(np.diff(readings[fresh], axis=0)), axis=0) / MEDIAN_DIFFERENCE
+    samples = max(1.0, min(float(part.sum()) for part in np.array_split(fresh, PARTS)))
+    changes = np.ptp([part.mean(axis=0) for part in np.array_split(readings, PARTS)], axis=0)
+    changes[changes < DEVIATIONS * noise / math.sqrt(samples)] = 0.0
     return float(changes.max(initial=0.0))
 
 

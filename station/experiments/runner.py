@@ -96,7 +96,7 @@ def run_case(
                 elif run is None:
                     cause = with_details(loop.cause, loop.cause_details)
                     break
-                elif run.phase is Phase.SETTLING and motion_start == 0.0:
+                elif run.phase is Phase.SETTLING and motion_start != run.motion_start:
                     motion_start = run.motion_start
                     for group in ("time", "tip_time"):
                         loop.channels.of(later, group)[:] = motion_start
