@@ -178,7 +178,8 @@ def _blocks(
     done, time = 0, [channel.name for channel in case.channels].index("time")
     for rows in case.blocks():
         chosen = rows[-done % stride :: stride]
-        yield np.column_stack([chosen[:, time] - start, chosen[:, kept]])
+        if len(chosen):
+            yield np.column_stack([chosen[:, time] - start, chosen[:, kept]])
         done += len(rows)
         progress(done / case.ticks)
 

@@ -57,6 +57,18 @@ def test_an_export_has_the_chosen_fields_and_every_fifth_row_at_a_hundred_a_seco
     assert same(lines, rows[::5][:, kept])
 
 
+@pytest.mark.parametrize("rate", [500.0, 100.0, 40.0, 0.1])
+def test_blocks_with_fewer_rows_than_the_stride_leave_no_empty_line(tmp_path, paper, channels, rate):
+    writer, counts = CaseWriter(tmp_path / "short.mcap", paper.robot(), channels.all, {}, pictures=1e-6), (1, 2, 7, 300)
+    times = np.arange(float(sum(counts)))
+    for block in np.split(times, np.cumsum(counts)[:-1]):
+        writer.write(np.column_stack([block, np.zeros((len(block), len(channels) - 1))]))
+    writer.close(RunOutcome.COMPLETE)
+    export_case(writer.path, "csv", tmp_path / "short.csv", 0.0, choice=Choice(rate=rate))
+    lines = (tmp_path / "short.csv").read_text(encoding="utf-8").splitlines()[1:]
+    assert [float(line.split(",")[0]) for line in lines] == times[:: Choice(rate=rate).stride].tolist()
+
+
 @pytest.mark.parametrize(("rate", "stride"), [(500.0, 1), (499.0, 2), (250.0, 2), (100.0, 5), (40.0, 13), (0.1, 5000)])
 def test_an_export_never_has_more_rows_a_second_than_asked_for(rate, stride):
     assert Choice(rate=rate).stride == stride
