@@ -149,7 +149,7 @@ FIRST_DRIFT_STD_M_S = 1e-3
 #: Number of rejected frames in a row that agree with each other, at which the observer accepts the frames.
 REACQUIRE_FRAMES = 8
 #: Longest time [s] and largest distance [m] by which the bias is extrapolated after the last frame that was used. A
-#: drift that few noisy frames have shown must not move the tip; an outer loop ends within the same time.
+#: drift that few noisy frames have shown must not move the tip far.
 LONGEST_S, FARTHEST_M = 0.25, 3e-3
 
 

@@ -104,8 +104,8 @@ class SettlePhase:
 def _change(readings: Array, times: Array) -> float:
     """Return the largest difference between the means of parts of readings (k, ...); 0 if it is below noise.
 
-    A sample that several ticks have read, with the same time in `times` (k,), counts once. Its noise would else be a
-    change.
+    A sample that several ticks have read, with the same time in `times` (k,), counts once. Otherwise its noise would
+    look like a change.
     """
     fresh = np.diff(times, prepend=-np.inf) > 0.0
     if fresh.sum() < LEAST_SAMPLES:

@@ -41,7 +41,7 @@ class Frames:
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-4, 1e-3, 1e-2])
-def test_the_noise_is_measured_within_a_quarter_while_tip_and_model_move(noise):
+def test_the_noise_is_measured_while_tip_and_model_move(noise):
     frames = Frames()
     found = []
     for _ in range(20):

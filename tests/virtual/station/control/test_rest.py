@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from station.config.loads import RampLoad
+from station.config.loads import NoLoad, RampLoad
 from station.control.states import RefusedError, State, Transition
 from station.control.task import AVERAGE_S, LONGEST_REST_S, SETTLE_S, Phase
 from tests.harness.ideal_station import BENCHES, IdealStation, Kind
@@ -17,6 +17,13 @@ def touched(station: IdealStation, begin: float, seconds: float, newton: float =
     """Let a force across the tubes start `begin` [s] from now and last for `seconds`."""
     times = (0.0, begin, begin + 0.02, begin + seconds - 0.02, begin + seconds)
     station.lab.apply_load(RampLoad(times=times, magnitudes=(0.0, 0.0, newton, newton, 0.0)), station.now)
+
+
+def shaken(station: IdealStation) -> None:
+    """Let a force across the tubes vary between 0 and 0.05 N for 20 s."""
+    times = tuple(np.arange(0.0, 20.0, 0.5).tolist())
+    sizes = tuple(0.05 * (place % 2) for place in range(len(times)))
+    station.lab.apply_load(RampLoad(times=times, magnitudes=sizes), station.now)
 
 
 def settling(station: IdealStation) -> float:
@@ -45,9 +52,7 @@ def test_a_touch_while_the_robot_rests_is_not_in_the_zero_of_the_force(
 def test_a_robot_that_does_not_come_to_rest_ends_the_run_with_what_changed() -> None:
     station = IdealStation()
     begin = settling(station)
-    times = tuple(np.arange(0.0, 20.0, 0.5).tolist())
-    sizes = tuple(0.05 * (place % 2) for place in range(len(times)))
-    station.lab.apply_load(RampLoad(times=times, magnitudes=sizes), station.now)
+    shaken(station)
     station.end()
     assert station.state is State.HOLD
     assert LONGEST_REST_S <= station.now - begin <= LONGEST_REST_S + REST_S
@@ -63,6 +68,17 @@ def test_a_requested_tare_waits_for_a_robot_at_rest() -> None:
     assert station.loop.contact.startswith("the robot was not at rest")
     station.seconds(AVERAGE_S)
     assert station.loop.contact == ""
+    assert station.known_size < 1e-3
+
+
+def test_a_requested_tare_of_a_robot_that_never_rests_leaves_the_zero_as_it_was() -> None:
+    station = IdealStation()
+    shaken(station)
+    station.loop.tare(station.now)
+    station.seconds(LONGEST_REST_S + AVERAGE_S)
+    assert station.loop.contact.startswith("the robot was not at rest")
+    station.lab.apply_load(NoLoad(), station.now)
+    station.seconds(2.0)
     assert station.known_size < 1e-3
 
 
