@@ -1,5 +1,6 @@
 """Snapshot of the robot: the newest row of telemetry as one immutable value that every protocol encodes."""
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -22,6 +23,8 @@ OFFSET_GAIN_DOWN, OFFSET_GAIN_UP = 5e-4, 1e-5
 #: Largest plausible jump of the clock offset [s]. A larger one means that the control loop was restarted or the
 #: computer's clock was set, so the estimate is initialised again.
 MAX_CLOCK_OFFSET_S = 1.0
+#: Smallest jump that counts as a set clock if it lasts for the second value [s]; a late reading is shorter.
+CLOCK_STEP_S, STEP_LASTS_S = 0.02, 0.5
 #: Identity quaternion, sent for the measured and the desired tip, because their channels contain only a position.
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
@@ -84,6 +87,7 @@ class SnapshotReader:
         self._poses = PoseReader(robot, channels.all)
         self._next = ring.written
         self._zero: float | None = None  # estimated wall-clock time at which the rows' time was 0 [s] since 1970
+        self._far_since = math.inf  # time since which the clock offset has jumped [s]
 
     def read(self, info: StationInfo, *, with_scene: bool) -> Snapshot:
         """Return the telemetry since the last reading; `with_scene` also solves the model for the robot's shape."""
@@ -94,7 +98,9 @@ class SnapshotReader:
         # The wall-clock time of the newest row is that of the control loop's last heartbeat, when the row was written.
         newest, rate = time.time() - self._clock.real(min(max(age, 0.0), STALE_AFTER_S)), self._clock.rate
         zero = newest - float(rows[-1, 0]) / rate
-        if self._zero is None or abs(zero - self._zero) > MAX_CLOCK_OFFSET_S:
+        now, step = self._clock.now(), math.inf if self._zero is None else abs(zero - self._zero)
+        self._far_since = math.inf if step <= CLOCK_STEP_S else min(self._far_since, now)
+        if self._zero is None or step > MAX_CLOCK_OFFSET_S or now - self._far_since > STEP_LASTS_S:
             self._zero = zero
         self._zero += min(max(zero - self._zero, -OFFSET_GAIN_DOWN), OFFSET_GAIN_UP)
         stamps = (1e9 * (self._zero + rows[:, 0] / rate)).astype(np.int64)

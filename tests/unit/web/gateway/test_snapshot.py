@@ -51,6 +51,37 @@ def test_telemetry_stamps_follow_the_clock_after_a_restart_of_the_control_loop(f
         assert abs(time.time_ns() - snapshot.scene.stamp) < 30e9
 
 
+class SteadyClock:
+    """A clock of the station that the test sets."""
+
+    time, rate = 0.0, 1.0
+
+    def now(self) -> float:
+        return self.time
+
+    def real(self, seconds: float) -> float:
+        return seconds
+
+
+@pytest.mark.parametrize("step", [0.05, -0.05, 0.7, -0.7, 30.0])
+def test_stamps_follow_a_clock_that_was_set_within_a_second(feed, monkeypatch, step):
+    clock, since = SteadyClock(), 1.7e9
+    monkeypatch.setattr("web.gateway.snapshot.time.time", lambda: since + clock.time)
+    reader, number, errors = SnapshotReader(feed.ring, ROBOT, feed.channels, clock), 0, list[float]()
+    for reading in range(200):
+        for _ in range(10):
+            feed.ring.write(feed.row(number))
+            number += 1
+        clock.time += 0.02
+        if reading == 100:
+            since += step
+        feed.ring.numbers[HEARTBEAT] = clock.time
+        newest = reader.read(StationInfo(), with_scene=False).stamps[-1]
+        errors.append(1e-9 * newest - (since + clock.time))
+    assert np.abs(errors[:100]).max() < 1e-3
+    assert np.abs(errors[150:]).max() < 1e-3
+
+
 def test_a_gateway_snapshot_without_rows_is_empty(feed):
     reader = SnapshotReader(feed.ring, ROBOT, feed.channels, StationClock())
     snapshot = reader.read(StationInfo(), with_scene=True)
