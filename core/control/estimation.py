@@ -275,6 +275,20 @@ class Estimate:
             known.refused, int(self.numbers[REJECTED_COUNT]), int(self.numbers[UNUSED_TICKS]),
         )  # fmt: skip
 
+    def for_actuation(self, actuation: Actuation) -> "Estimate":
+        """Return the same estimate with the stored velocities that the delay of `actuation` needs."""
+        known, (ticks, n) = self.known, actuation.start(self.loaded.joints.size).sent.shape
+        history = len(known.tips)
+        if ticks == len(known.sent):
+            return self
+        numbers = np.zeros(packed_size(_shapes(n, ticks, history)))
+        end = self.numbers.size - known.sent.size - known.tips.size  # both are the last parts of the array
+        numbers[:end], numbers[DELAY_TICKS] = self.numbers[:end], ticks
+        estimate = Estimate(self.loaded, self.unloaded, numbers)
+        kept = min(ticks, len(known.sent))
+        estimate.known.sent[:kept], estimate.known.tips[:] = known.sent[:kept], known.tips
+        return estimate
+
 
 @dataclass(frozen=True)
 class Estimator:

@@ -121,7 +121,7 @@ def start_controller(controller: Controller, sample: Sample) -> ControllerState:
         still = np.zeros(right.joints.size)
         share = apply_residual(packed, 1.0, still, loaded.numbers, unloaded.numbers, residual)
     tip = loaded.tip.copy() if right.tip is None else right.tip
-    zeros = start_zeros(len(sample.wrenches)) if controller.estimator.load.tracks_zeros else None
+    zeros = _first_zeros(controller)
     deflection = start_deflection(unloaded, tip - loaded.tip) if controller.tracked else None
     estimate = controller.estimator.start(loaded, unloaded, load.force, tip)
     estimate.known.residual[:], estimate.known.residual_state[:2] = (
@@ -144,9 +144,23 @@ def set_origin(controller: Controller, memory: ControllerState, origin: Array) -
     estimate, last = controller.estimator.start(free, free, np.zeros(3), origin), memory.estimate.known
     for name in ("directions", "residual", "residual_state"):
         getattr(estimate.known, name)[:] = getattr(last, name)
-    zeros = start_zeros(len(memory.zeros.values)) if memory.zeros is not None else None
+    zeros = _first_zeros(controller)
     deflection = start_deflection(free, origin - free.tip) if memory.deflection is not None else None
     return memory._replace(estimate=estimate, origin=origin, direction=direction, zeros=zeros, deflection=deflection)
+
+
+def _first_zeros(controller: Controller) -> SensorZeros | None:
+    return start_zeros(len(controller.no_zeros)) if controller.estimator.load.tracks_zeros else None
+
+
+def handed_over(controller: Controller, memory: ControllerState) -> ControllerState:
+    """Return the state with which `controller` continues after another controller of the same bench.
+
+    Zeros that the other controller has estimated stay, so that the force does not change; without them, `controller`
+    starts to estimate them.
+    """
+    estimate = memory.estimate.for_actuation(controller.estimator.actuation)
+    return memory._replace(estimate=estimate, zeros=memory.zeros or _first_zeros(controller), slope=None)
 
 
 def restart_setpoints_here(memory: ControllerState) -> ControllerState:
@@ -177,7 +191,7 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         sample.joints, sample.wrenches, controller.no_zeros if zeros is None else zeros.values,
         sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
-    if zeros is not None and sample.tip is not None:
+    if zeros is not None and sample.tip is not None and controller.estimator.load.tracks_zeros:
         zeros = _updated_zeros(controller, zeros, load, now)
     deflection = memory.deflection
     if deflection is not None and sample.tip is not None:

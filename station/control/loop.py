@@ -9,7 +9,15 @@ from dataclasses import replace
 
 from core.control.controller_settings import Controller
 from core.control.force_control import CONTACT
-from core.control.step import ControllerState, Sample, restart_setpoints_here, set_origin, start_controller, step
+from core.control.step import (
+    ControllerState,
+    Sample,
+    handed_over,
+    restart_setpoints_here,
+    set_origin,
+    start_controller,
+    step,
+)
 from core.control.stiffness import StiffnessRamp
 from core.control.tip_residual import FACTOR
 from core.control.trajectories import JointMotion, Setpoint
@@ -95,7 +103,8 @@ class ControlLoop:
         watched: Callable[[Controller], Controller] = lambda controller: controller,
     ) -> None:
         """Prepare a loop that is OFF; `watched` returns a controller with timing around its custom loops."""
-        self._watched, self.controller = watched, watched(controller)
+        self._watched, self._own = watched, watched(controller)
+        self.controller = self._own  #: controller of the present run, or the station's own one
         self.run = 0  #: number of the run whose task is in progress or was the last one; 0: none
         self.devices = devices
         self.state = State.OFF
@@ -178,6 +187,7 @@ class ControlLoop:
             self.progress, self._jog, self._rest = None, None, None
             self._after_homing = None
             self._target.end()
+            self._use(self._own)
         elif event in (Transition.RESET, Transition.RECONNECT, Transition.CONNECT):
             self._causes = StopReasons()
 
@@ -258,9 +268,16 @@ class ControlLoop:
         self.run = task.run
         self._target.end()
         self._end_rest()
-        self.controller, self._stiffness, self.contact = task.controller, None, ""
+        self._use(task.controller)
+        self.contact = ""
         self.progress = Progress(task, Phase.APPROACHING)
         self._snap = self._snap_monitor(task.margins or self._margins)
+
+    def _use(self, controller: Controller) -> None:
+        """Continue with the controller of a run, or after it with the station's own one."""
+        if controller is not self.controller and self._memory is not None:
+            self._memory = handed_over(controller, self._memory)
+        self.controller, self._stiffness = controller, None
 
     def _begin_monitors(self, margins: Margins) -> None:
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(margins)
@@ -644,6 +661,7 @@ class ControlLoop:
         self.devices.stages.stop(now)
         self.request(Transition.FINISH)
         self._target.end()
+        self._use(self._own)
         self.progress = self._jog = None
         self.contact = self._contact(now)
 

@@ -15,7 +15,7 @@ from station.config.controllers import PERIOD_S, Present, default_controller
 from station.config.motions import ForceMotion, HoldMotion, Orders, suited
 from station.control.loop import ControlLoop
 from station.control.states import State
-from station.control.task import MotionTask, Phase, Space, StreamLimits, StreamRequest
+from station.control.task import JogSpace, MotionTask, Phase, StreamLimits, StreamRequest
 from station.lab.config import load_lab
 from station.lab.virtual_bench import virtual_bench
 from tests.harness.virtual_station import usual_case
@@ -121,7 +121,7 @@ class IdealStation:
         self.until(lambda: self.loop.phase is Phase.MOVING or self.state is not State.RUNNING)
         self.request = lambda now: StreamRequest(1, SetpointRequest(goal, np.zeros(3), now, 0.1))
 
-    def jog(self, space: Space, velocity: Sequence[float], seconds: float) -> None:
+    def jog(self, space: JogSpace, velocity: Sequence[float], seconds: float) -> None:
         """Jog until the time is over or the jog ends in HOLD."""
         for _ in range(round(seconds / 0.1)):
             if self.state not in (State.READY, State.RUNNING):
