@@ -12,7 +12,9 @@ The vector e contains the errors of the estimated zeros, and T_F and T_M sum the
 small for a true load: a measured force that does not move the tip is drift. The second residual is zero for a true load
 at the tip. Both residuals hardly show a force along the direction n in which the tip is stiffest, which is nearly the
 robot's axis. The third residual therefore assumes that a load of `LOAD_N` along n lasts for `LOAD_S`. A constant load
-along n becomes part of the zeros after about a quarter of an hour.
+along n becomes part of the zeros after about a quarter of an hour. This force remains known as `assumed`: it may be a
+load. A motion that controls the force omits the third residual, because the loop would replace each force that it
+takes away by a true one.
 
 Each zero rotates with its tube, so a motion makes the zeros of several sensors distinguishable. A Kalman filter
 estimates all zeros as random walks. The model error is nearly the same in successive frames, so the filter takes the
@@ -43,16 +45,18 @@ class SensorZeros(NamedTuple):
     values: Array  #: (s, 6) zeros, each in the axes of its sensor [N, N m]
     covariance: Array  #: (6 s, 6 s) covariance of the errors of `values`
     since: float  #: time of the latest update, counted from the tare [s]
+    assumed: Array  #: (3,) force that the third residual has moved into the zeros, world frame [N]
+    deviation: float = 0.0  #: largest standard deviation of the zeros' sum of forces, of all directions [N]
 
 
 def start_zeros(count: int) -> SensorZeros:
     """Return the zeros of `count` sensors after a tare."""
-    return SensorZeros(np.zeros((count, 6)), np.zeros((6 * count, 6 * count)), 0.0)
+    return SensorZeros(np.zeros((count, 6)), np.zeros((6 * count, 6 * count)), 0.0, np.zeros(3))
 
 
 def update_zeros(
     last: SensorZeros, errors: SensorErrors, robot: Robot, loaded: Solution,
-    load: Array, bias: Array, force: Array, misfit: float, now: float,
+    load: Array, bias: Array, force: Array, misfit: float, now: float, *, controlled: bool = False,
 ) -> SensorZeros:  # fmt: skip
     """Return the zeros after a tracker frame.
 
@@ -67,24 +71,35 @@ def update_zeros(
         misfit: chi square of the moment mismatch over `FITS`. Above 1 the load does not act at the tip. The residuals
             assume a load at the tip, so they then lose their weight.
         now: time since the tare [s].
+        controlled: the motion controls the force, so the third residual is omitted.
 
     """
-    values, covariance = last.values.copy(), last.covariance.copy()
+    values, covariance, assumed = last.values.copy(), last.covariance.copy(), last.assumed.copy()
     _update(
         robot.packed, loaded.joints, loaded.tip, loaded.compliance, load, bias, force,
         2.0 * min(now, WALK_S) * errors.drift, MODEL_S * errors.lever**2,
-        MODEL_S * (errors.gain * errors.moment_range) ** 2, LOAD_S * LOAD_N**2,
+        MODEL_S * (errors.gain * errors.moment_range) ** 2, math.inf if controlled else LOAD_S * LOAD_N**2,
         max(misfit, 1.0) ** 2, now - last.since,
-        values, covariance,
+        values, covariance, assumed,
     )  # fmt: skip
-    return SensorZeros(values, covariance, now)
+    return SensorZeros(values, covariance, now, assumed, _deviation(robot, loaded.joints, covariance))
+
+
+def _deviation(robot: Robot, joints: Array, covariance: Array) -> float:
+    """Return the largest standard deviation of the sum of the sensors' zero forces [N]."""
+    alpha, _ = sensor_poses(robot.layout, joints)
+    turns = np.zeros((3, 6 * len(alpha)))
+    turns[0, ::6], turns[0, 1::6] = np.cos(alpha), -np.sin(alpha)
+    turns[1, ::6], turns[1, 1::6] = np.sin(alpha), np.cos(alpha)
+    turns[2, 2::6] = 1.0
+    return math.sqrt(max(float(np.linalg.eigvalsh(turns @ covariance @ turns.T)[-1]), 0.0))
 
 
 @compiled
 def _update(
     packed: Array, joints: Array, tip: Array, compliance: Array, load: Array, bias: Array, force: Array,
     walk: Array, lever: float, moment: float, held: float, doubt: float, elapsed: float,
-    values: Array, covariance: Array,
+    values: Array, covariance: Array, assumed: Array,
 ) -> None:  # fmt: skip
     """Compute `update_zeros` in place; `walk`, `lever`, `moment` and `held` are densities."""
     layout = unpack(packed)
@@ -130,17 +145,21 @@ def _update(
     n = 6 * q
     error, gain = np.zeros(n), np.empty(n)
     for row in range(7):  # update with one residual after the other
-        expected, surprise = variances[row], residual[row]
+        expected, spread, surprise = variances[row], 0.0, residual[row]
         for a in range(n):
             gain[a] = 0.0
             for b in range(n):
                 gain[a] += covariance[a, b] * rows[row, b]
             expected += rows[row, a] * gain[a]
+            spread += rows[row, a] * gain[a]
             surprise -= rows[row, a] * error[a]
         for a in range(n):
             error[a] += gain[a] * surprise / expected
             for b in range(n):
                 covariance[a, b] -= gain[a] * gain[b] / expected
+        if row == 6:
+            for k in range(3):
+                assumed[k] += stiff[k] * spread * surprise / expected
     for i in range(q):
         for m in range(6):
             values[i, m] += error[6 * i + m]

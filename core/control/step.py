@@ -25,6 +25,7 @@ from core.control.force_control import (
     replaced_component,
     without_component,
 )
+from core.control.force_error import error_by_deflection, error_by_sensors
 from core.control.null_space import StabilityGradient
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.retreat import NO_RETREAT, RetreatCourse, continued_retreat, within_acceleration
@@ -101,6 +102,13 @@ class Tick(NamedTuple):
     def delta(self) -> Array:
         """(3,) observed tip velocity minus the requested tip velocity U_int, eq. (27) [m/s]."""
         return self.memory.estimate.velocity_observed - self.u_int
+
+
+def force_error(controller: Controller, memory: ControllerState) -> float:
+    """Return the largest plausible error of the force at the tip [N]; 0 while nothing measures the force."""
+    if controller.senses:
+        return error_by_sensors(memory.estimate.known.load, memory.zeros)
+    return 0.0 if memory.deflection is None else error_by_deflection(memory.deflection)
 
 
 def start_controller(controller: Controller, sample: Sample) -> ControllerState:
@@ -192,7 +200,8 @@ def step(controller: Controller, memory: ControllerState, sample: Sample, order:
         sample.sent, sample.tip, sample.tip_age,
     )  # fmt: skip
     if zeros is not None and sample.tip is not None and controller.estimator.load.tracks_zeros:
-        zeros = _updated_zeros(controller, zeros, load, now)
+        controlled = isinstance(order, Setpoint) and (order.press or controller.stiffness) is not None
+        zeros = _updated_zeros(controller, zeros, load, now, controlled=controlled)
     deflection = memory.deflection
     if deflection is not None and sample.tip is not None:
         deflection = update_deflection(
@@ -336,8 +345,13 @@ def _yielding(
     return order, order._replace(position=nearer), offset
 
 
-def _updated_zeros(controller: Controller, last: SensorZeros, load: FusedLoad, now: Estimate) -> SensorZeros:
-    """Return the sensors' zeros after a tracker frame; a frame that the observer rejects leaves them unchanged."""
+def _updated_zeros(
+    controller: Controller, last: SensorZeros, load: FusedLoad, now: Estimate, *, controlled: bool
+) -> SensorZeros:
+    """Return the sensors' zeros after a tracker frame; a frame that the observer rejects leaves them unchanged.
+
+    `controlled`: the motion controls the force.
+    """
     known = now.known
     if not now.numbers[FRAME_USED]:
         return last
@@ -345,7 +359,7 @@ def _updated_zeros(controller: Controller, last: SensorZeros, load: FusedLoad, n
     misfit, since = float(known.load[QUALITY, MISFIT]) / FITS, float(known.load[QUALITY, SINCE])
     return update_zeros(
         last, controller.estimator.load.errors, controller.statics.robot, now.loaded,
-        total, known.bias, known.force_smooth, misfit, since,
+        total, known.bias, known.force_smooth, misfit, since, controlled=controlled,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from core.control.force_control import CONTACT
 from core.control.step import (
     ControllerState,
     Sample,
+    force_error,
     handed_over,
     restart_setpoints_here,
     set_origin,
@@ -448,7 +449,8 @@ class ControlLoop:
                 self._act_on(DeviceFault(Severity.HOLD, cause) if cause else None, now)
         if self._zero is not None:
             removed = removed_force(self.controller, self._zero, tick.memory.estimate.loaded)
-            self._overload.update(now, tick.load.force + removed, self.controller.limits.overload)
+            error = force_error(self.controller, tick.memory)
+            self._overload.update(now, tick.load.force + removed, self.controller.limits.overload, error)
             if tick.setpoint.press is not None and self._overload.force is not None:
                 touches = tick.memory.contact.force > CONTACT * tick.setpoint.press.force
                 self._pressed = self._overload.force - removed if touches else None
@@ -463,7 +465,7 @@ class ControlLoop:
         record = TickRecord(
             now, self.state, self.phase, joints, wrenches, frame, tick, tick.memory, tick.memory.estimate, truth,
             self._troubles, None if request is None else request.setpoint, self._target.values(truth),
-            self._contact_start,
+            self._contact_start, self._overload.possible,
         )  # fmt: skip
         self._row = self.channels.row(record)
         return self._row

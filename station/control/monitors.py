@@ -26,6 +26,7 @@ from core.robot.robot import Array
 from core.robot.strength import design_snap_number, straightened_strains
 from station.config.robots import RobotFile
 from station.config.strict import ConfigError, Positive, Strict
+from station.control.force_zero import ZERO_AGAIN
 from station.control.realtime import load, too_busy
 from station.control.states import Transition
 from station.devices.interfaces import DeviceFault, Devices, JointReading, Severity, TipReading, WrenchReading
@@ -374,12 +375,13 @@ class ForceMonitor:
 
     The control loop calls `update` at every tick with a force, and `check` at every tick that commands the stages.
     Above the bound only a jog may start, because a person must be able to move the tip away. This jog ends if the force
-    rises or does not fall.
+    rises or does not fall. The bound applies to the force plus its largest plausible error.
     """
 
     def __init__(self) -> None:
         self.force: Array | None = None  #: mean force (3,) of the last `OVERLOAD_TIME_S` [N]; None: unknown
         self._size = 0.0  # size of `force` [N]
+        self.possible = 0.0  #: size of `force` plus its largest plausible error [N]
         self._time = 0.0
         self._bound: ForceBound | None = None
         self._relieves = False  # whether the present motion is a jog that started above the bound
@@ -387,18 +389,26 @@ class ForceMonitor:
         self._lowest_now: float | None = None  # lowest force since the start of the present jog [N]
         self._before: tuple[float, float] | None = None  # time [s] and force [N] from which a jog must lower the force
 
-    def update(self, now: float, force: Array, bound: ForceBound | None) -> None:
-        """Update the mean with the total force (3,) [N] of one tick; `bound` is the present bound of the force."""
+    def update(self, now: float, force: Array, bound: ForceBound | None, error: float = 0.0) -> None:
+        """Update the mean with the total force (3,) [N] of one tick.
+
+        `bound` is the present bound of the force, and `error` the force's largest plausible error [N].
+        """
         mean = self.force
         part = 1.0 if mean is None else 1.0 - math.exp(-(now - self._time) / OVERLOAD_TIME_S)
         self.force = force.copy() if mean is None else mean + part * (force - mean)
         self._size, self._time, self._bound = math.hypot(*self.force.tolist()), now, bound
+        self.possible = self._size + error
         if not self._excess:
             self._relieves, self._lowest = False, None
 
     @property
     def _excess(self) -> bool:
-        return self.force is not None and self._bound is not None and self._size > self._bound.newton
+        return self.force is not None and self._bound is not None and self.possible > self._bound.newton
+
+    @property
+    def _is_certain(self) -> bool:
+        return self._bound is not None and self._size > self._bound.newton
 
     def begin(self, *, jog: bool) -> str:
         """Prepare for a motion; return why it must not start, in one line; empty if it may."""
@@ -419,13 +429,19 @@ class ForceMonitor:
         if force > max(self._lowest + RELIEF_RISE_N, self._lowest_now + FURTHER_RISE_N):
             return self._text()
         if now - since > RELIEF_TIME_S:
-            if force > then - RELIEF_FALL_N:
+            if force > then - RELIEF_FALL_N and self._is_certain:
                 return self._text()
             self._before = now, force
         return ""
 
     def _text(self) -> str:
         assert self._bound is not None, "a force above its bound"  # noqa: S101
+        if not self._is_certain:
+            return (
+                f"the force on the tip, up to {self.possible:.2g} N with the sensors' drift and errors, is above"
+                f" {self._bound.newton:.2g} N ({self._bound.reason}); {self._size:.2g} N are measured: {TAKE_OFF}jog"
+                f" the tip away; {ZERO_AGAIN}. max_force in the robot's file sets another limit"
+            )
         return (
             f"the force on the tip {self._size:.2g} N is above {self._bound.newton:.2g} N"
             f" ({self._bound.reason}): {TAKE_OFF}jog the tip away; only a jog that lowers the force starts."

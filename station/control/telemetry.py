@@ -53,6 +53,7 @@ class TickRecord(NamedTuple):
     wanted: SetpointRequest | None  #: latest setpoint request for a streamed tip
     target: TargetValues | None
     contact_start: float  #: time at which a tip that holds a force has touched the obstacle [s]
+    force_possible: float  #: size of the force with what tares removed, plus its largest plausible error [N]
 
 
 def _tip_observed(at: TickRecord) -> Array:
@@ -132,6 +133,10 @@ _RECORDED = (
     Field(
         "force", "N", "force at the tip from the sum of the base sensors", "force or deflection", vector,
         "tick.load.force", streamed=True,
+    ),
+    Field(
+        "force_possible", "N", "size of the force with what tares removed, plus its largest plausible error",
+        "force or deflection", one, streamed=True,
     ),
     Field("moment", "N m", "moment of the load about the plate's origin", "force", vector, "tick.load.moment"),
     Field("tip_measured", "m", "tip in the last tracker frame", "tracker", vector, "memory.tip", streamed=True),

@@ -47,9 +47,9 @@ export function forceDial() {
     goal, needle, number, unit);
   const meter = make("div", { role: "meter", "aria-label": "force of the tip", "aria-valuemin": "0", "aria-valuemax": rig.max_force.toFixed(2) }, drawing);
   const contact = make("p", { className: "contact" }), since = make("span"), changes = make("span", { role: "status", className: "unseen" });
-  const desiredText = make("dd"), limitValue = make("dd", {}, `${newton(rig.max_force)} N`), along = make("dd");
+  const desiredText = make("dd"), possible = make("dd"), limitValue = make("dd", {}, `${newton(rig.max_force)} N`), along = make("dd");
   const element = make("div", { className: "dial", hidden: true }, meter, make("div", { className: "facts" }, contact, changes,
-    make("dl", {}, make("dt", { className: "desired" }, "desired"), desiredText, make("dt", {}, "along"), along, make("dt", { className: "bound" }, "HOLD at"), limitValue)));
+    make("dl", {}, make("dt", { className: "desired" }, "desired"), desiredText, make("dt", {}, "along"), along, make("dt", {}, "at most"), possible, make("dt", { className: "bound" }, "HOLD at"), limitValue)));
   contact.append(make("b"), since);
 
   let run = null;
@@ -57,7 +57,7 @@ export function forceDial() {
     const desired = run?.desired_force ?? null;
     element.hidden = desired === null;
     if (desired === null) return;
-    const goalForce = length(desired), { exerted, contact: seconds } = measured(latestSample(SILENT_AFTER_S), desired);
+    const sample = latestSample(SILENT_AFTER_S), goalForce = length(desired), { exerted, contact: seconds } = measured(sample, desired);
     const turn = angle(exerted ?? 0);
     goal.setAttribute("transform", `rotate(${angle(goalForce)} ${X} ${Y})`);
     needle.style.transform = `rotate(${turn}deg)`;
@@ -66,6 +66,7 @@ export function forceDial() {
     setText(number, exerted === null ? "–" : newton(exerted));
     setText(desiredText, `${newton(goalForce)} N`);
     setText(along, directionText(desired));
+    setText(possible, exerted === null ? "–" : `${newton(sample.force_possible)} N`);
     const words = run.phase !== "moving" ? "not started yet" : exerted === null ? "force unknown" : seconds === null ? "no contact" : "in contact";
     element.dataset.contact = words;
     setText(contact.firstChild, words);

@@ -26,6 +26,8 @@ function trackerError(sample) {
   const size = sample && reference(sample) === "true" ? length(error(sample, "tip_measured")) : null;
   return size === null ? "" : `tracker\u00a0error ${size.toFixed(2)}\u00a0mm`;
 }
+/** Return the force that is possible with the errors of its estimate, in the place of the button that zeros it; empty while no force is known. */
+const possibleForce = (sample) => (zero.hidden && sample?.force_filtered ? `up to\u00a0${sample.force_possible.toFixed(2)}\u00a0N` : "");
 /** Whether no sensors measure the whole load, so that the force is estimated from the deflection of the tip. */
 const byDeflection = (sample) => sample?.deflection_filtered === null && sample.force_filtered !== null;
 const knownAxes = (sample) => [0, 1, 2].filter((axis) => isForceKnown(sample, [0, 1, 2].map((i) => Number(i === axis))));
@@ -41,7 +43,7 @@ const fixed = (digits) => (value) => value.toFixed(digits);
 const CELLS = [
   { quantity: "error", name: (sample) => `${reference(sample) === "true" ? "true" : "tracker"} error${ofTarget(sample)}`, below: trackerError, unit: "mm", value: (s) => s && length(error(s, `tip_${reference(s)}`)), text: fixed(2), none: "shown during a motion while its devices answer", help: "tips" },
   { name: () => "direction", unit: "°", value: (s) => s && directionError(s, `direction_${reference(s)}`), text: fixed(1), none: "", optional: true },
-  { quantity: "force", name: forceName, unit: "N", value: (s) => (s && s.force_filtered && knownAxes(s).length > 0 ? length(knownAxes(s).map((axis) => s.force_filtered[axis])) : null), text: fixed(2), none: "no force is known now" },
+  { quantity: "force", name: forceName, below: possibleForce, unit: "N", value: (s) => (s && s.force_filtered && knownAxes(s).length > 0 ? length(knownAxes(s).map((axis) => s.force_filtered[axis])) : null), text: fixed(2), none: "no force is known now" },
   { name: () => "deflection", unit: "mm", value: (s) => (s && !isTipLost(s) ? length(s.deflection_filtered, 1e3) : null), text: fixed(1), none: "needs a measured tip and measured forces" },
   { name: () => "time left", unit: "", value: timeLeft, text: String, none: "no motion is running", narrow: true }, // the header of a larger page shows it
 ].map((cell) => ({ ...cell, label: make("span", { className: "dim", ...(cell.quantity && { "data-quantity": cell.quantity }) }), shown: make("output"), note: cell.below && make("span", { className: "dim" }) }));

@@ -78,17 +78,20 @@ def drifting(
     return zeros, total[:3]
 
 
+@pytest.mark.parametrize("controlled", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_an_update_equals_a_plain_kalman_filter(robot: Robot, circle: list[Solution], seed: int) -> None:
+def test_an_update_equals_a_plain_kalman_filter(
+    robot: Robot, circle: list[Solution], seed: int, controlled: bool
+) -> None:
     random = np.random.default_rng(seed)
     turned = Robot("turned", robot.tubes, robot.joints, Base((0.1, -0.2, 0.05), tuple(random.normal(size=3))))
     pose = Statics(turned).solve(circle[seed].joints, np.zeros(6))
     root = random.normal(size=(12, 12)) * np.tile(np.repeat([0.02, 0.4e-3], 3), 2)[:, None]
-    before = SensorZeros(random.normal(size=(2, 6)), root @ root.T, 10.0)
+    before = SensorZeros(random.normal(size=(2, 6)), root @ root.T, 10.0, np.array([0.1, 0.0, 0.2]))
     load, bias, force = random.normal(size=6), 1e-3 * random.normal(size=3), random.normal(size=3)
     now = float(random.uniform(10.1, 2.0 * WALK_S))
 
-    after = update_zeros(before, ERRORS, turned, pose, load, bias, force, 0.0, now)
+    after = update_zeros(before, ERRORS, turned, pose, load, bias, force, 0.0, now, controlled=controlled)
 
     total, compliance = sums(turned, pose.joints), pose.compliance[:3, :3]
     r = pose.tip - np.array(turned.base.position)
@@ -101,11 +104,22 @@ def test_an_update_equals_a_plain_kalman_filter(robot: Robot, circle: list[Solut
     density = np.r_[3 * [MODEL_S * ERRORS.lever**2], 3 * [MODEL_S * moment], LOAD_S * LOAD_N**2]
     walk = 2.0 * min(now, WALK_S) * np.tile(np.repeat([ERRORS.force_drift, ERRORS.moment_drift], 3), 2) ** 2
     prior = before.covariance + (now - 10.0) * np.diag(walk)
-    spread = design @ prior @ design.T + np.diag(density) / (now - 10.0)
-    gain = prior @ design.T @ np.linalg.inv(spread)
-    np.testing.assert_allclose(after.values.ravel(), before.values.ravel() + gain @ residual, rtol=1e-7, atol=1e-9)
-    np.testing.assert_allclose(after.covariance, prior - gain @ design @ prior, rtol=0, atol=1e-9)
+
+    def kalman(rows: int) -> tuple[np.ndarray, np.ndarray]:
+        used = design[:rows]
+        spread = used @ prior @ used.T + np.diag(density[:rows]) / (now - 10.0)
+        gain = prior @ used.T @ np.linalg.inv(spread)
+        return gain @ residual[:rows], prior - gain @ used @ prior
+
+    error, covariance = kalman(6 if controlled else 7)
+    np.testing.assert_allclose(after.values.ravel(), before.values.ravel() + error, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(after.covariance, covariance, rtol=0, atol=1e-9)
     assert after.since == now
+    forces = total[:3] @ after.covariance @ total[:3].T
+    assert after.deviation == pytest.approx(math.sqrt(np.linalg.eigvalsh(forces).max()))
+    # What the third residual has moved is the difference to the filter without it.
+    moved = stiffest * (stiffest @ total[:3] @ (error - kalman(6)[0]))
+    np.testing.assert_allclose(after.assumed - before.assumed, moved, atol=1e-9)
 
 
 def test_an_hour_of_drift_hardly_changes_the_total_force(robot: Robot, circle: list[Solution]) -> None:
