@@ -40,7 +40,7 @@ def test_motion_against_a_stiff_wall_ends_in_hold_before_a_force_sensor_saturate
     assert f"is above {bound.newton:.2g} N ({bound.reason})" in virtual.loop.cause
     assert "saturated" not in virtual.loop.cause
     forces = np.linalg.norm(virtual.of("force"), axis=1)
-    # More than the single samples that noise raises above the bound.
-    assert np.count_nonzero(forces > bound.newton) >= 0.3 * OVERLOAD_TIME_S / 0.002
+    # More than the single samples that noise raises; the bound also applies to what the estimate cannot know.
+    assert np.count_nonzero(forces > 0.85 * bound.newton) >= 0.3 * OVERLOAD_TIME_S / 0.002
     virtual.seconds(0.4)
     assert virtual.rests()

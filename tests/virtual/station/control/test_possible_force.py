@@ -47,7 +47,6 @@ def test_a_force_that_drift_may_have_raised_above_the_bound_ends_the_motion(with
     with pytest.raises(RefusedError, match="zero the force"):
         station.loop.start(station.holding(1.0))
     station.jog("tip", (0.0, 0.0, -4e-3), 2.0)
-    assert station.state is State.READY
     assert station.true_size == 0.0
     station.loop.tare(station.now, untouched=True)
     station.seconds(2.0)
