@@ -94,6 +94,10 @@ class MortalStation:
         """Wait for a state."""
         until(lambda: self.status()["state"] == state, state)
 
+    def ends_by(self, cause: str) -> None:
+        """Wait for HOLD by a cause, which the station learns shortly after the state."""
+        until(lambda: (now := self.status())["state"] == "HOLD" and now["cause"].startswith(cause), cause)
+
     def said_soon(self, text: str) -> None:
         """Wait until the terminal shows a text."""
         until(lambda: text in self.said(), text)

@@ -46,8 +46,7 @@ def test_a_key_suspends_no_station_and_the_end_of_its_parent_or_guard_stops_the_
         assert station.status()["state"] == "RUNNING"
         for ending, reset in (("parent killed", ""), ("SIGKILL to guard", "restarted: the guard")):
             ENDINGS[ending](station)
-            station.becomes("HOLD")
-            assert station.status()["cause"].startswith(CAUSES[ending])
+            station.ends_by(CAUSES[ending])
             assert station.rest.post("/api/reset").json()["note"] == reset
             station.becomes("READY")
             moving(station, "motion")

@@ -312,7 +312,7 @@ def test_a_second_client_is_refused_but_its_hold_stops_the_robot(served: Served,
     assert "move_cp of 'other' is refused" in other.error("another program sends the targets")
     other.send("hold", TYPES[EMPTY]())
     state(leader, "PAUSED")
-    status = served.status()
+    status = served.wait_for(lambda now: now["cause"])  # it arrives shortly after the state
     assert (status["state"], status["cause"]) == ("STOPPED", "stopped by 'other' (ROS 2)")
     command(other, "resume")
     other.error("'other' is not operator")
