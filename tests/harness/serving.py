@@ -77,10 +77,16 @@ class Served:
         status = self.wait_for(lambda status: status["state"] in ("READY", "CONNECTED") and not status["stale"])
         if status["state"] == "CONNECTED":
             self.post("/api/home", {"way_is_clear": True})
+            self._while_homing()
         status = self.wait_for(lambda status: status["state"] == "READY" and not status["stale"])
         if any(abs(status["joints"][name] - usual) > far for name, (usual, far) in USUAL_POSE.items()):
             self._go_to_the_usual_pose()
         self.rest.delete("/api/operator")
+
+    def _while_homing(self) -> None:
+        """Wait while the homing makes progress, without a limit: a rotation below its zero turns once more and back."""
+        while (status := self.status())["state"] == "HOMING":
+            self.wait_for(lambda now, before=status["message"]: now["message"] != before)
 
     def _go_to_the_usual_pose(self) -> None:
         """Move the robot to the usual pose, for example after homing, by an experiment that starts there."""

@@ -88,10 +88,7 @@ def draw(case: AccuracyCase, rng: np.random.Generator) -> Iterator[tuple[Array, 
 
 
 def cold_starts(
-    count: int,
-    seed: int = 0,
-    integrator: Integrator = "paper",
-    done: Callable[[float], None] = lambda _: None,
+    count: int, seed: int = 0, integrator: Integrator = "paper", done: Callable[[float], None] = lambda _: None
 ) -> dict[str, Any]:
     """Solve random poses of the paper's robot without a warm start, under forces up to 0.6 N in any direction.
 
@@ -132,10 +129,7 @@ def cold_starts(
 
 
 def derivatives(
-    count: int,
-    seed: int = 0,
-    integrator: Integrator = "paper",
-    done: Callable[[float], None] = lambda _: None,
+    count: int, seed: int = 0, integrator: Integrator = "paper", done: Callable[[float], None] = lambda _: None
 ) -> dict[str, Any]:
     """Compare J, C and the stability margin of the model with those of the exact rod.
 

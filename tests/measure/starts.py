@@ -201,12 +201,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=200, metavar="N", help="number of starts (200)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="parallel processes (2)")
-    parser.add_argument(
-        "--experiment",
-        choices=PEAK_FORCES_N,
-        default=EXPERIMENT,
-        help="robot and controller (fig8)",
-    )
+    parser.add_argument("--experiment", choices=PEAK_FORCES_N, default=EXPERIMENT, help="robot and controller (fig8)")
     parser.add_argument("--out", type=Path, metavar="FILE", help="file for every outcome as a line of JSON")
     parsed = parser.parse_args()
     lines: list[str] = []

@@ -70,9 +70,7 @@ def test_invalid_setpoints_are_refused_with_the_reason_and_the_run_continues(sta
     station.wait_for(lambda status: status["state"] == "READY")
 
 
-def test_only_a_silent_client_gets_the_timeout_as_the_cause_of_the_end(
-    station: Served,
-) -> None:
+def test_only_a_silent_client_gets_the_timeout_as_the_cause_of_the_end(station: Served) -> None:
     for last, cause in ((None, "no valid setpoint for 4 s"), ('{"end": true}', "")):
         with connect(f"ws://127.0.0.1:{station.port}/api/setpoints", proxy=None) as socket:
             socket.send(json.dumps({"silence": 0.2, "end": 4.0}))  # the computer may be busy for seconds
