@@ -11,15 +11,7 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from station.camera.messages import (
-    CameraMessage,
-    CameraPicture,
-    CameraReport,
-    EndVideo,
-    ShowBoard,
-    StartVideo,
-    Watch,
-)
+from station.camera.messages import CameraMessage, CameraPicture, CameraReport, EndVideo, ShowBoard, StartVideo, Watch
 from station.camera.process import CameraSetup, run_camera
 from station.config.robots import RobotFile
 from station.control.child_process import ChildProcess

@@ -34,6 +34,8 @@ STATION_SILENT_S = 0.3
 CONTROL_SILENT_S = 1.0
 #: Number of attempts to stop the stages.
 ATTEMPTS = 5
+#: Time in which a process that comes before another one must have stopped the stages when both end [s].
+FINISH_S = 10.0
 #: Real-time priority of the guard; it is below that of the control loop (50).
 PRIORITY = 45
 
@@ -73,11 +75,18 @@ class Watch:
             self._carry_out(driver, self._stop)
 
     def finish(self) -> None:
-        """Wait until the stages are stopped, or until another process is there to stop them."""
+        """Wait until the stages are stopped, or until the station process runs; another process has `FINISH_S` for it.
+
+        Whatever ends the station may end the others one after the other, and the guard before it has stopped them.
+        """
+        give_up = self._clock.now() + FINISH_S
         self.look()
-        while self.is_first and self._left:
-            self._clock.sleep(LOOK_INTERVAL_S)
+        while self._left:
+            self._clock.sleep(LOOK_INTERVAL_S)  # the system may still count a process that is ending as running
             self.look()
+            station = int(self._ring.counters[WATCHERS + Rank.STATION])
+            if not self.is_first and (life(station) is Life.RUNS or self._clock.now() > give_up):
+                return
 
     @property
     def is_first(self) -> bool:

@@ -249,10 +249,12 @@ def run_recorder(
     except (EOFError, OSError):
         pass  # the parent process has ended; an active recording is finished below
     finally:
-        watch.close()
-        if recording is not None:
-            recording.end(EndRecording(RunOutcome.INTERRUPTED, "the station process is gone", {}))
-        ring.close(remove=os.getppid() != parent)
+        try:
+            if recording is not None:
+                recording.end(EndRecording(RunOutcome.INTERRUPTED, "the station process is gone", {}))
+        finally:
+            watch.close()
+            ring.close(remove=os.getppid() != parent)
 
 
 def _warm_up(robot: RobotFile, channels: Channels) -> None:

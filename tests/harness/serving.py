@@ -24,11 +24,7 @@ from tests.harness.waiting import NET, until
 
 #: Usual pose of the preset robot, and how far a test may leave it before the next test returns to it [rad, m]. Tests of
 #: motions from the current pose expect that they are possible.
-USUAL_POSE = {
-    "outer_rotation": (0.0, 0.2),
-    "inner_rotation": (0.5 * math.pi, 0.2),
-    "inner_translation": (-0.1, 0.02),
-}
+USUAL_POSE = {"outer_rotation": (0.0, 0.2), "inner_rotation": (0.5 * math.pi, 0.2), "inner_translation": (-0.1, 0.02)}
 
 
 class Served:

@@ -23,8 +23,7 @@ def true_views(lab: str) -> dict[str, CalibratedView]:
         (fx, _, cx), (_, fy, cy), _ = view.matrix.tolist()
         position, turn = view.position.tolist(), vector_from_rotation(view.rotation.T).tolist()
         found[name] = CalibratedView(
-            lens=LensFile(focal=(fx, fy), centre=(cx, cy)),
-            pose=Mount(position=(*position,), rotation_vector=(*turn,)),
+            lens=LensFile(focal=(fx, fy), centre=(cx, cy)), pose=Mount(position=(*position,), rotation_vector=(*turn,))
         )
     return found
 

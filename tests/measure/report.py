@@ -49,10 +49,7 @@ MEASURES: Mapping[str, tuple[str, Callable[[], dict[str, Any]]]] = {
         "Delay from a script's setpoint to the stages' line, which sends to each axis every 25 ms",
         lambda: setpoints(SETPOINTS_SECONDS, lambda _: None),
     ),
-    "loop": (
-        "The live loop at 500 Hz, and an idle timer for comparison",
-        lambda: loop(LOOP_SECONDS, lambda _: None),
-    ),
+    "loop": ("The live loop at 500 Hz, and an idle timer for comparison", lambda: loop(LOOP_SECONDS, lambda _: None)),
 }
 
 

@@ -79,8 +79,7 @@ def test_tip_errors_under_a_fast_ramp_and_a_rubber_band_are_near_the_best_possib
 
 
 @pytest.mark.parametrize(
-    ("apart", "direction"),
-    [(0.0, (0.0, -1.0, 0.0)), (np.pi, (1.0, 0.0, 0.0)), (3.0, (0.0, 1.0, 0.3))],
+    ("apart", "direction"), [(0.0, (0.0, -1.0, 0.0)), (np.pi, (1.0, 0.0, 0.0)), (3.0, (0.0, 1.0, 0.3))]
 )
 def test_no_joint_spins_when_the_tip_is_held_at_a_singular_pose(
     apart: float, direction: tuple[float, float, float]

@@ -7,16 +7,7 @@ end of the last segment, within 0.04 s and the braking time.
 import math
 from collections.abc import Sequence
 
-from station.devices.gcode.protocol import (
-    HOLD,
-    JOG_CANCEL,
-    QUERY,
-    RESET,
-    Dialect,
-    LineReader,
-    Position,
-    parse,
-)
+from station.devices.gcode.protocol import HOLD, JOG_CANCEL, QUERY, RESET, Dialect, LineReader, Position, parse
 from station.devices.interfaces import Clock
 from station.devices.kernel.emergency import TIMEOUT_S, stop_on_port
 from station.devices.links.link import SerialLink

@@ -69,10 +69,7 @@ def test_an_invalid_rest_body_is_refused_with_field_and_reason(
             '{"trajectory": {"kind": "waypoints", "points": [[5, 0, 0, "a"]]}}',
             "trajectory.points, row 1, number 4 = 'a': ",
         ),
-        (
-            '{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}',
-            "load.magnitudes, number 2 = -21: ",
-        ),
+        ('{"load": {"kind": "ramps", "times": [0, 1], "magnitudes": [0, -21]}}', "load.magnitudes, number 2 = -21: "),
         (
             '{"trajectory": {"kind": "circle", "radios": 0.1}}',
             "unknown field 'trajectory.radios'; 'trajectory.radius' is missing; 'trajectory.period' is missing",

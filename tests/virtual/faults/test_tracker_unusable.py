@@ -36,10 +36,7 @@ def test_a_motion_ends_if_its_frames_cannot_be_used(kind: str, value: float, cau
 
 @pytest.mark.parametrize(
     ("kind", "value", "named"),
-    [
-        ("delay", 0.05, "the tracker's frames arrive"),
-        ("noise", 4e-4, "the tracker's frames scatter by 0."),
-    ],
+    [("delay", 0.05, "the tracker's frames arrive"), ("noise", 4e-4, "the tracker's frames scatter by 0.")],
 )
 def test_a_motion_goes_on_with_worse_frames_which_a_warning_names(kind: str, value: float, named: str) -> None:
     station = VirtualStation(usual_case()).moving(since=2.0)

@@ -30,10 +30,7 @@ JOINTS = Agility(0.012, 0.06)
 
 
 def pressed(
-    obstacle: float,
-    wall: Callable[[float], float] = lambda _: 0.004,
-    seconds: float = 20.0,
-    joints: Agility = JOINTS,
+    obstacle: float, wall: Callable[[float], float] = lambda _: 0.004, seconds: float = 20.0, joints: Agility = JOINTS
 ) -> tuple[np.ndarray, np.ndarray, list[Contact]]:
     """Simulate a tip on an obstacle of a stiffness [N/m] whose surface is at `wall(time)` [m].
 

@@ -170,11 +170,7 @@ def test_requested_position_is_extrapolated_for_its_time_and_is_the_goal_again_a
     assert positions[-1] == pytest.approx(STILL, abs=1e-6)
 
 
-@given(
-    velocity=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
-    goes_on=st.floats(0.0, 2.0),
-    now=st.floats(-1.0, 1e6),
-)
+@given(velocity=st.tuples(*[st.floats(-1e3, 1e3)] * 3), goes_on=st.floats(0.0, 2.0), now=st.floats(-1.0, 1e6))
 def test_goal_never_leaves_the_requested_position_by_more_than_its_extrapolation_and_returns(velocity, goes_on, now):
     position, velocity = np.array([0.001, 0.0, -0.002]), np.array(velocity)
     goal = SetpointRequest(position, velocity, 0.0, goes_on).goal(now, STILL)

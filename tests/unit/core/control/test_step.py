@@ -54,10 +54,7 @@ def test_dual_layer_control_keeps_the_tip_in_place_under_a_varying_load(pulled):
     assert np.abs(pulled.tips).max() < 2.5e-4
 
 
-@pytest.mark.parametrize(
-    ("inner", "observes"),
-    [("type_1", False), ("type_1_exact", True), ("type_2", False)],
-)
+@pytest.mark.parametrize(("inner", "observes"), [("type_1", False), ("type_1_exact", True), ("type_2", False)])
 def test_every_inner_loop_keeps_the_tip_in_place_under_a_varying_load(paper_robot, inner, observes):
     """The load rises fastest after 2 s, and the run ends half a second later."""
     tips = run(controller(paper_robot, inner=inner, observes=observes), plant_of(paper_robot), 2.5, force=pull).tips

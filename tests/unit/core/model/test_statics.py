@@ -72,11 +72,7 @@ class TestDerivatives:
     def test_jacobian_and_compliance_match_an_independent_prototype(self, paper_robot):
         """The expected numbers are central differences of re-solved tips of an independent prototype."""
         joints, wrench = np.array([0.0, np.pi / 2, -0.075]), np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
-        jacobian = [
-            [0.042281, 0.005308, 0.255580],
-            [0.005541, 0.022191, -0.273378],
-            [-0.008890, 0.006513, 0.886618],
-        ]
+        jacobian = [[0.042281, 0.005308, 0.255580], [0.005541, 0.022191, -0.273378], [-0.008890, 0.006513, 0.886618]]
         upper = [0.042502, 0.002744, -0.009264, 0.042615, 0.011886, 0.006001]
 
         solution = Statics(paper_robot, FINE).solve(joints, wrench)

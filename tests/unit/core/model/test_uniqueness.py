@@ -45,9 +45,7 @@ def test_a_straight_tube_has_one_shape_up_to_eulers_load(length):
     assert not alone(robot, np.array([0.0, -0.05]), 1.01 * euler / SAFETY_FACTOR)
 
 
-def test_the_papers_robot_has_one_shape_at_every_valid_pose_under_forces_up_to_0_6_newton(
-    paper_robot,
-):
+def test_the_papers_robot_has_one_shape_at_every_valid_pose_under_forces_up_to_0_6_newton(paper_robot):
     for slide in np.linspace(-0.13, -0.005, 20):
         assert alone(paper_robot, np.array([0.0, 0.0, slide]), 0.6)
     assert not alone(paper_robot, np.array([0.0, 0.0, -0.005]), 1.6)

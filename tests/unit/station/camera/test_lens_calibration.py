@@ -79,9 +79,7 @@ def test_corners_are_found_to_a_tenth_of_a_pixel() -> None:
     assert np.abs(pixels - expected).mean() < 0.1
 
 
-def test_calibrated_pair_measures_points_to_a_tenth_of_a_millimetre(
-    corners: tuple[list[View], list[View]],
-) -> None:
+def test_calibrated_pair_measures_points_to_a_tenth_of_a_millimetre(corners: tuple[list[View], list[View]]) -> None:
     """The points are in the robot's workspace; a rigid motion is left out, which the registration determines."""
     lenses = [calibrate_lens(views, SIZE, SQUARE) for views in corners]
     pair = calibrate_pair(*corners, (lenses[0].lens, lenses[1].lens), SIZE, SQUARE)

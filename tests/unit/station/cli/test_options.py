@@ -45,8 +45,7 @@ def test_every_command_has_the_option_data(command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "given",
-    ["--json sweep merge {}", "sweep --json merge {}", "sweep merge --json {}", "sweep merge {} --json"],
+    "given", ["--json sweep merge {}", "sweep --json merge {}", "sweep merge --json {}", "sweep merge {} --json"]
 )
 def test_sweep_merge_accepts_options_in_any_position(given: str, tmp_path) -> None:
     top, commands = parser()

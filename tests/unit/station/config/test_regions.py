@@ -45,11 +45,7 @@ def test_an_open_surface_a_missing_file_and_a_repeated_name_are_refused(tmp_path
     body.update_faces(np.arange(len(body.faces)) > 0)
     body.export(tmp_path / "open.stl")
     (tmp_path / "text.stl").write_text("no surface")
-    for name, message in (
-        ("open", "not closed"),
-        ("text", "not a surface that can be read"),
-        ("no", "No such"),
-    ):
+    for name, message in (("open", "not closed"), ("text", "not a surface that can be read"), ("no", "No such")):
         with pytest.raises(ConfigError, match=message):
             keep_out([MeshRegion(name=name, file=str(tmp_path / f"{name}.stl"))])
     ball = {"name": "ball", "kind": "sphere", "centre": [0, 0, 0.3], "radius": 0.01}

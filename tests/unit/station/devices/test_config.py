@@ -85,11 +85,7 @@ def test_stages_on_separate_ports_may_have_the_same_number(paper):
             "",
             r"devices.stages.joints.inner_rotation is missing",
         ),
-        (
-            "device = 2",
-            "device = 1",
-            r"joints.inner_rotation.device = 1: outer_rotation has the same axis",
-        ),
+        ("device = 2", "device = 1", r"joints.inner_rotation.device = 1: outer_rotation has the same axis"),
         ("device = 2", "device = 255", r"joints.inner_rotation.device = 255: .*254"),
         ("home_at = 0.5", "home_at = 7.0", r"devices.stages.joints.outer_rotation: home count"),
         ('host = "192.168.1.11", ', "", r"devices.sensors: 'tubes.inner.host' is missing"),

@@ -66,9 +66,7 @@ def test_only_a_returned_text_counts_as_evidence_that_the_stages_stop(
         assert stopped.confirmed or stopped.text.endswith(PRESS)
 
 
-def test_wait_for_a_hanging_emergency_stop_is_bounded(
-    fallback_stop: Callable[[str], FallbackStop],
-) -> None:
+def test_wait_for_a_hanging_emergency_stop_is_bounded(fallback_stop: Callable[[str], FallbackStop]) -> None:
     stop = fallback_stop("hangs")
     try:
         stopped = stop(0.01)

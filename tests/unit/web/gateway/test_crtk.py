@@ -224,8 +224,5 @@ def test_commands_of_independent_encoders_are_read():
     types = STORE.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "world")
     joints = types["sensor_msgs/msg/JointState"](header, list(ROBOT.joint_names), np.ones(N), np.zeros(N), np.zeros(0))
-    for kind, value in (
-        (JOINT_STATE, joints),
-        (COMMAND, types["crtk_msgs/msg/StringStamped"](header, "enable")),
-    ):
+    for kind, value in ((JOINT_STATE, joints), (COMMAND, types["crtk_msgs/msg/StringStamped"](header, "enable"))):
         assert kind.decode(bytes(STORE.serialize_cdr(value, kind.name)))[0] == ((1, 2), "world")

@@ -49,11 +49,7 @@ def test_a_results_folder_gets_its_name_only_when_the_run_is_complete(tmp_path, 
 
     assert [path.name for path in folder.path.parent.iterdir()] == [folder.path.name]
     assert folder.path.name.startswith("fig7-seed5-")
-    assert sorted(path.name for path in folder.path.iterdir()) == [
-        "experiment.toml",
-        "regulation.mcap",
-        "summary.json",
-    ]
+    assert sorted(path.name for path in folder.path.iterdir()) == ["experiment.toml", "regulation.mcap", "summary.json"]
     summary = json.loads((folder.path / "summary.json").read_text(encoding="utf-8"))
     assert summary["completed"] is True
     assert summary["label"] == "complete"

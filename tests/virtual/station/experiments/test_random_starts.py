@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 
 from tests.harness.cases import a_case, a_run
-from tests.measure.starts import (
-    PEAK_FORCES_N,
-    RandomStart,
-    StartOutcome,
-    draw,
-    prepare_case,
-    reference_error,
-    summary,
-)
+from tests.measure.starts import PEAK_FORCES_N, RandomStart, StartOutcome, draw, prepare_case, reference_error, summary
 
 PEAK = PEAK_FORCES_N["fig8"]
 

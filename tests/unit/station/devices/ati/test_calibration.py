@@ -14,13 +14,7 @@ from station.devices.ati.calibration import (
     read_page,
 )
 
-ELEMENTS = {
-    "prodname": "Net F/T",
-    "cfgcpf": "1000000",
-    "cfgcpt": "1000000",
-    "scfgfu": "N",
-    "scfgtu": "N-m",
-}
+ELEMENTS = {"prodname": "Net F/T", "cfgcpf": "1000000", "cfgcpt": "1000000", "scfgfu": "N", "scfgtu": "N-m"}
 
 
 def page(extra: str = "", head: str = '<?xml version="1.0"?>', **changes: str | None) -> bytes:

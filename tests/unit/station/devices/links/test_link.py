@@ -160,10 +160,7 @@ def test_similar_adapter_with_another_serial_number_is_not_used():
 
 
 def test_adapter_without_a_serial_number_is_found_by_its_socket():
-    swapped = [
-        STAGES._replace(device="/dev/ttyUSB0", location="1-1.3"),
-        STAGES._replace(device="/dev/ttyUSB2"),
-    ]
+    swapped = [STAGES._replace(device="/dev/ttyUSB0", location="1-1.3"), STAGES._replace(device="/dev/ttyUSB2")]
     assert find(STAGES, swapped) == "/dev/ttyUSB2"
 
 
