@@ -34,7 +34,7 @@ STATION_SILENT_S = 0.3
 CONTROL_SILENT_S = 1.0
 #: Number of attempts to stop the stages.
 ATTEMPTS = 5
-#: Time in which a process that comes before another one must have stopped the stages when both end [s].
+#: Time for which an ending process waits for the stop of the stages by a process of a lower rank [s].
 FINISH_S = 10.0
 #: Real-time priority of the guard; it is below that of the control loop (50).
 PRIORITY = 45
@@ -75,9 +75,10 @@ class Watch:
             self._carry_out(driver, self._stop)
 
     def finish(self) -> None:
-        """Wait until the stages are stopped, or until the station process runs; another process has `FINISH_S` for it.
+        """Wait until the stages are stopped; return earlier if a process of a lower rank can stop them.
 
-        Whatever ends the station may end the others one after the other, and the guard before it has stopped them.
+        If that is the station process, return at once; another one, such as the guard, has `FINISH_S` for it, because
+        whatever has ended the station process may also end the others, one after the other.
         """
         give_up = self._clock.now() + FINISH_S
         self.look()
