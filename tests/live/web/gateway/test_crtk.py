@@ -103,8 +103,14 @@ def state(who: Peer, expected: str) -> None:
 
 
 def start_targets(served: Served, headers: dict[str, str] | None = None) -> None:
-    answer = served.rest.post("/api/gateway/target", json=WIDE, headers=headers)
-    assert answer.status_code == 202, answer.text
+    said: list[str] = []
+
+    def started() -> bool:
+        answer = served.rest.post("/api/gateway/target", json=WIDE, headers=headers)
+        said[:] = [answer.text]
+        return answer.status_code == 202
+
+    until(started, said)  # once the force has decayed after the station's first motion
     served.wait_for(lambda status: status["phase"] == "moving")
 
 
