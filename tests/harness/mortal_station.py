@@ -94,6 +94,12 @@ class MortalStation:
         """Wait for a state."""
         until(lambda: self.status()["state"] == state, state)
 
+    def in_phase_moving(self) -> bool:
+        """Return whether the motion itself is executed, after the stages have rested; fail in HOLD, with the cause."""
+        now = self.status()
+        assert now["state"] != "HOLD", now["cause"]
+        return now["phase"] == "moving"
+
     def ends_by(self, cause: str) -> None:
         """Wait for HOLD by a cause, which the station learns shortly after the state."""
         until(lambda: (now := self.status())["state"] == "HOLD" and now["cause"].startswith(cause), cause)
@@ -217,7 +223,7 @@ def moving(station: MortalStation, motion: str) -> float:
     """Start a motion, wait until the stages have moved for a while and still move; return the time then [s]."""
     MOTIONS[motion](station)
     if motion in EXPERIMENTS:  # the stages rest before the motion itself
-        until(lambda: station.status()["phase"] == "moving", "phase")
+        until(station.in_phase_moving, "phase")
     first, clock = station.lab.last_step(), station.lab.clock
 
     def moves() -> bool:

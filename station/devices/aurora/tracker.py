@@ -23,8 +23,8 @@ from station.devices.links.link import Link, LinkError, SerialLink, reopen
 
 #: The tracker counts as silent after this time without a new frame [s]: the duration of four frames.
 SILENCE_TIMEOUT_S = 0.1
-#: A motion ends in the state HOLD after this time without a good position [s].
-BLIND_TIMEOUT_S = 0.25
+#: A motion ends in the state HOLD after this time without a good position, unless `stale_after` is set [s].
+HOLD_AFTER_S = 0.25
 #: Lasting additional delay of the frames that is reported [s], and its warning.
 LATE_S = 0.02
 LATE = (
@@ -49,13 +49,12 @@ class AuroraTracker:
     """Driver of one Aurora; implements `Tracker`. `poll` never raises, whatever bytes arrive."""
 
     def __init__(
-        self,
-        link: Link,
-        settings: AuroraSettings | None = None,
-        registration: TrackerMounting | None = None,
-    ) -> None:
+        self, link: Link, settings: AuroraSettings | None = None, registration: TrackerMounting | None = None,
+        stale_after: float = HOLD_AFTER_S,
+    ) -> None:  # fmt: skip
+        """`stale_after`: time without a good position that is a HOLD [s]."""
         self._link = link
-        self._settings = settings or AuroraSettings()
+        self._settings, self._stale_after = settings or AuroraSettings(), stale_after
         self._registration = registration or TrackerMounting(np.eye(3), np.zeros(3))
         self._session = AuroraSession(self._settings)
         self._lost = ""
@@ -77,7 +76,7 @@ class AuroraTracker:
                 self._lost = str(error)
 
     def trouble(self, now: float) -> DeviceFault | None:
-        """Return a WARN after 0.1 s without a position or if frames are late, a HOLD after 0.25 s or a lost port."""
+        """Return WARN after 0.1 s without a position or if frames are late, HOLD after `stale_after` or a lost port."""
         rate = self._session.clock.wrong_rate
         if now - self._good_time <= SILENCE_TIMEOUT_S and not self._lost and rate is None:
             if (late := self._session.clock.shift) > LATE_S:
@@ -95,7 +94,7 @@ class AuroraTracker:
         elif quality is Quality.UNREADABLE:
             because = f"sends {quoted(self._session.dialogue.unreadable)}, which is no frame{{since}}: check the cable"
         details = f"tracker on {self._link.name}: {', '.join(quality.words or ['late'])}{trouble and ', '}{trouble}"
-        return sample_fault([Sampled("the tracker", quality, age, details, because)], BLIND_TIMEOUT_S)
+        return sample_fault([Sampled("the tracker", quality, age, details, because)], self._stale_after)
 
     def _target_trouble(self, now: float, target: Coil) -> DeviceFault | None:
         """Return a warning if the configured target has no good position."""
@@ -238,6 +237,8 @@ class AuroraFile(Strict):
     """shortest time from a measurement to the arrival of the reply with this measurement at 115200 baud [s]"""
     always_tx: bool = False
     """request frames as text (TX), for very old firmware"""
+    stale_after: Annotated[float, Field(ge=SILENCE_TIMEOUT_S, le=10.0)] = HOLD_AFTER_S
+    """time without a good position after which a motion ends in HOLD; meanwhile only the model knows the tip [s]"""
     fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """port status bits that invalidate a measurement, in addition to the two out-of-volume bits"""
     mount: Mount = Mount()
@@ -266,4 +267,4 @@ def aurora(options: Mapping[str, Any], robot: RobotFile) -> Callable[[], AuroraT
         wrong = f"target = '{file.target}'" if "the target's" in str(error) else f"baud = {file.baud}"
         raise ConfigError(f"{key}.{wrong}: {error}") from None
     registration = TrackerMounting(file.mount.rotation, np.array(file.mount.position))
-    return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration)
+    return lambda: AuroraTracker(SerialLink(file.port, POWER_UP_BAUD), settings, registration, file.stale_after)

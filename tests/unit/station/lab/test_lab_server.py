@@ -29,5 +29,5 @@ def test_slow_clock_extends_the_timeouts_of_simulated_devices(paper):
         usual, patient = (
             devices_at(lab.endpoints, LabConfig(), clock) for clock in (StationClock(), StationClock(0.5, 2.0))
         )
-    assert (usual.stages["deadline"], usual.sensors["stale_after"]) == (0.15, 0.15)
-    assert (patient.stages["deadline"], patient.sensors["stale_after"]) == (2.0, 2.0)
+    assert (usual.stages["deadline"], usual.sensors["stale_after"], usual.tracker["stale_after"]) == (0.15, 0.15, 0.25)
+    assert {patient.stages["deadline"], patient.sensors["stale_after"], patient.tracker["stale_after"]} == {2.0}

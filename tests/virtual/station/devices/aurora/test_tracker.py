@@ -249,6 +249,19 @@ def test_mute_unit_is_reported_and_found_when_it_answers_again():
     assert bench.report.quality is Quality.GOOD
 
 
+@pytest.mark.parametrize(("options", "hold_after"), [({}, 0.25), ({"stale_after": 1.0}, 1.0)])
+def test_silent_tracker_is_a_warning_until_the_configured_time_and_then_a_hold(options, hold_after):
+    bench = AuroraBench()
+    bench.tracker = AuroraTracker(bench.port, registration=GENERATOR_POSE, **options)
+    bench.run(1.0)
+    bench.unit.faults.mute = True
+    bench.run(hold_after - 0.05)
+    early = bench.tracker.trouble(bench.now)
+    bench.run(0.1)
+    late = bench.tracker.trouble(bench.now)
+    assert (early.severity, late.severity) == (Severity.WARN, Severity.HOLD)
+
+
 def test_tracker_rejects_another_tool_after_a_lost_cable():
     bench = AuroraBench()
     bench.run(1.0)
