@@ -1,36 +1,25 @@
-"""Foxglove's client and a plain WebSocket on a live gateway process."""
+"""Plain WebSocket clients of the Foxglove protocol on a live gateway process."""
 
-import base64
 import json
-import os
-import shutil
 import socket
 import struct
-import subprocess
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from mcap.records import Schema
-from mcap_ros1.decoder import DecoderFactory
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from station.control.states import State
-from station.recording.drawing import Drawing
-from tests.harness.gateway import ANY, MEASURED, PAPER, Running, gateway
-from tests.harness.root import ROOT
+from tests.harness.gateway import ANY, Running, gateway
 from web.access.identity import Tokens
 from web.gateway.options import GatewayOptions, ListenAddress
 from web.gateway.process import GatewayNote
 from web.gateway.snapshot import StationInfo
 
-#: Folder in which `npm install @foxglove/ws-protocol ws` has installed the packages.
-MODULES = Path(os.environ.get("CTR_NODE_MODULES", ROOT / "node_modules"))
 TOKENS = Tokens("operator-0123456789", "viewer-0123456789")
 SPOKEN = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 
@@ -45,38 +34,6 @@ def running() -> Iterator[Running]:
 def client(running: Running) -> Iterator[ClientConnection]:
     with connect(f"ws://127.0.0.1:{running.port}/", subprotocols=SPOKEN, proxy=None) as client:
         yield client
-
-
-@pytest.mark.skipif(shutil.which("node") is None, reason="there is no node")
-@pytest.mark.skipif(
-    not (MODULES / "@foxglove/ws-protocol").exists(),
-    reason="npm install @foxglove/ws-protocol ws, and CTR_NODE_MODULES=its node_modules",
-)
-def test_foxgloves_client_finds_the_topics_of_the_recordings(running: Running) -> None:
-    found = _node(f"ws://127.0.0.1:{running.port}")
-    channels = {each["topic"]: each for each in found["channels"]}
-    drawing = Drawing(PAPER.robot(), running.feed.channels.all, 3)
-    assert set(channels) == {"/telemetry", "/events", *(topic.name for topic in drawing.topics)}
-    for topic in drawing.topics:
-        told = channels[topic.name]
-        assert (told["schemaName"], told["schema"]) == (topic.schema, topic.definition)
-    assert found["request"] == "all"
-    assert {each["name"]: each["value"] for each in found["parameters"]}["controller.k1"] == 2.0
-    messages = found["messages"]
-    position = messages["/tip/measured"]["message"]["pose"]["position"]
-    assert [position[axis] for axis in "xyz"] == pytest.approx(MEASURED)
-    (scene,) = messages["/scene"]["message"]["entities"]
-    assert len(scene["lines"]) == 2
-    assert {frame["child_frame_id"] for frame in messages["/tf"]["message"]["transforms"]} >= {"tip", "inner base"}
-    assert messages["/events"]["message"]["name"] == "state"
-    # Every telemetry row is sent (500 per second), but only 25 scenes per second.
-    assert messages["/telemetry"]["count"] > 5 * messages["/scene"]["count"]
-    channel = channels["/telemetry"]
-    schema = Schema(1, channel["schema"].encode(), channel["schemaEncoding"], channel["schemaName"])
-    decode = DecoderFactory().decoder_for(channel["encoding"], schema)
-    assert decode is not None
-    row = decode(base64.b64decode(messages["/telemetry"]["message"]))
-    assert [row.tip_measured.x, row.tip_measured.y, row.tip_measured.z] == pytest.approx(MEASURED)
 
 
 def test_a_plain_websocket_client_subscribes_to_foxglove_topics_and_unsubscribes(
@@ -204,13 +161,6 @@ def test_foxglove_clients_without_a_required_token_are_refused() -> None:
         for token in TOKENS:
             with connect(f"{address}?token={token}", subprotocols=SPOKEN, proxy=None) as client:
                 assert _text(client)["op"] == "serverInfo"
-
-
-def _node(address: str) -> dict[str, Any]:
-    command = ["node", str(ROOT / "tests/harness/foxglove_client.js"), address]
-    told = subprocess.run(command, env={**os.environ, "NODE_PATH": str(MODULES)}, capture_output=True, text=True)
-    assert told.returncode == 0, told.stdout[:2000] + told.stderr
-    return json.loads(told.stdout)
 
 
 def _refused(address: str, **how: Any) -> int:
