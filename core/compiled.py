@@ -35,11 +35,7 @@ Shapes = tuple[tuple[int, int], ...]
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_OPTIONS: dict[str, Any] = {
-    "cache": True,
-    "error_model": "numpy",
-    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 
 #: Names of the modules that each compiled function depends on; their sources are part of the cache key.
 _SOURCES: dict[Any, frozenset[str]] = {}

@@ -16,33 +16,16 @@ from core.control.command import OBSERVER_DRIFT, command, joint_command
 from core.control.controller_settings import Controller
 from core.control.deflection_force import DeflectionForce, start_deflection, update_deflection
 from core.control.estimation import FRAME_USED, NO_LOAD, Estimate, perceive
-from core.control.force_control import (
-    NO_CONTACT,
-    Contact,
-    Press,
-    agility,
-    press,
-    replaced_component,
-    without_component,
-)
+from core.control.force_control import NO_CONTACT, Contact, Press, agility, press, replaced_component, without_component
 from core.control.force_error import error_by_deflection, error_by_sensors
 from core.control.null_space import StabilityGradient
 from core.control.observer import NO_FRAMES, TrackerVelocity, differentiate
 from core.control.retreat import NO_RETREAT, RetreatCourse, continued_retreat, within_acceleration
 from core.control.sensor_zeros import SensorZeros, start_zeros, update_zeros
 from core.control.sensors import FusedLoad, fuse_at
-from core.control.shape_correction import (
-    ShapeCorrection,
-    start_correction,
-    update_correction,
-)
+from core.control.shape_correction import ShapeCorrection, start_correction, update_correction
 from core.control.stiffness import NO_OFFSET, STAGES_LAG_S, Offset, TipStiffness
-from core.control.tip_direction import (
-    DirectionEstimate,
-    DirectionTask,
-    start_direction,
-    update_direction,
-)
+from core.control.tip_direction import DirectionEstimate, DirectionTask, start_direction, update_direction
 from core.control.tip_force import FITS, MISFIT, QUALITY, SINCE
 from core.control.tip_residual import apply_residual
 from core.control.trajectories import JointMotion, Setpoint
@@ -132,10 +115,7 @@ def start_controller(controller: Controller, sample: Sample) -> ControllerState:
     zeros = _first_zeros(controller)
     deflection = start_deflection(unloaded, tip - loaded.tip) if controller.tracked else None
     estimate = controller.estimator.start(loaded, unloaded, load.force, tip)
-    estimate.known.residual[:], estimate.known.residual_state[:2] = (
-        residual,
-        (share, packed is not None),
-    )
+    estimate.known.residual[:], estimate.known.residual_state[:2] = (residual, (share, packed is not None))
     return ControllerState(estimate, tip, tip, zeros=zeros, deflection=deflection)
 
 

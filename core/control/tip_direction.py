@@ -92,20 +92,12 @@ class DirectionEstimate(NamedTuple):
         """(3,) predicted direction of the tip at the time when a command sent now takes effect."""
         return self.numbers[3:6]
 
-    @property
-    def turnings(self) -> Array:
-        """(3, 3) angular velocities of the tip [rad/s].
-
-        The rows are the rotation C w' caused by the load, the rate of the deflection C w' + (J(q, w) - J(q, 0)) q', and
-        the drift that the model does not explain.
-        """
-        return self.numbers[6:15].reshape(3, 3)
-
 
 class _DirectionFields(NamedTuple):
     """Named views of the packed array of a `DirectionEstimate`."""
 
-    now: Array  #: (5, 3) rows of `observed`, `ahead` and `turnings`
+    now: Array  #: (5, 3) rows of `observed` and `ahead`, then angular velocities of the tip [rad/s]: of the rotation
+    # C w' by the load, of the deflection C w' + (J(q, w) - J(q, 0)) q', and of the drift beyond the model
     bias: Array  #: (3,) bias of the arrow's head, tracker minus model [m]
     drift: Array  #: (3,) rate of this bias [m/s]
     covariance: Array  #: (3,) covariance elements of bias and drift, as in `observer.ObserverState`

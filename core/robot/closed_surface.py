@@ -92,11 +92,6 @@ def closed_surface(triangles: Array) -> ClosedSurface:
     return ClosedSurface(found, int((outward != faces).any(axis=1).sum()))
 
 
-def winding_number(surface: Mesh, point: Array, ray: Array = RAYS[0]) -> int:
-    """Return the winding number of a closed surface about a point (3,), by a ray (3,) from it."""
-    return int(_winding(surface, point, ray))
-
-
 def _place(point: Array) -> str:
     return f"({', '.join(f'{1e3 * x:.4g}' for x in point)}) mm"
 
@@ -209,8 +204,8 @@ def _meets(boxes: Array, box: int, start: Array, ray: Array, longest: float) -> 
 
 
 @compiled
-def _winding(surface: Mesh, point: Array, ray: Array) -> int:
-    """Compute `winding_number`."""
+def winding_number(surface: Mesh, point: Array, ray: Array) -> int:
+    """Return the winding number of a closed surface about a point (3,), by a ray (3,) from it."""
     waiting, count, number = np.empty(MAX_WAITING, np.int64), 1, 0
     waiting[0] = 0
     while count > 0:
@@ -288,7 +283,7 @@ def _wrong_side(surface: Mesh, distances: Array, packed: Array, rays: Array) -> 
                 point[k] = centre + away * surface.normals[t, k]
             right = False
             for r in range(rays.shape[0]):
-                right = right or _winding(surface, point, rays[r]) == inside
+                right = right or winding_number(surface, point, rays[r]) == inside
             if not right or signed_distance(packed, surface, point, direction) * away <= 0.0:
                 return t
     return -1

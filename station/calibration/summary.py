@@ -124,10 +124,7 @@ def findings(result: Result) -> list[str]:
 
 def numbers(result: Result, subject: PlanSubject) -> dict[str, Any]:
     """Return the result as numbers for scripts; SI units."""
-    summary: dict[str, Any] = {
-        "found": [row._asdict() for row in rows(result, subject)],
-        "findings": findings(result),
-    }
+    summary: dict[str, Any] = {"found": [row._asdict() for row in rows(result, subject)], "findings": findings(result)}
     if isinstance(result, TrackerResult):
         summary |= {"rms_m": result.registration.rms, "held_out_mean_m": float(result.registration.held_out.mean())}
         summary["parameters"] = _parameters(result.registration.fit)

@@ -11,14 +11,7 @@ from station.calibration.findings import findings, undetermined_parameters
 from station.calibration.poses import RejectedPose
 from station.calibration.report import explained, intervals
 from station.calibration.summary import FOUND_HEAD
-from station.calibration.validation import (
-    EXTENT_LABELS,
-    ErrorBin,
-    Validation,
-    by_direction,
-    by_joint,
-    found_rows,
-)
+from station.calibration.validation import EXTENT_LABELS, ErrorBin, Validation, by_direction, by_joint, found_rows
 from station.report import document, style
 from station.report.document import ReportFigure
 

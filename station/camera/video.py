@@ -231,25 +231,9 @@ def _recorded_frame(stamp: int, data: bytes) -> RecordedFrame:
     return RecordedFrame(stamp, data[start + 4 : start + 4 + size])
 
 
-def decode_frames(path: Path) -> Iterator[tuple[int, Picture]]:
-    """Yield wall time [ns since 1970] and picture (rows, columns, 3), blue, green, red, of each frame of a video file.
-
-    Raises:
-        RecordingError: the file cannot be read.
-    """
-    decoder: Any = av.CodecContext.create("h264", "r")
-    decoder.thread_count = 1
-    times: list[int] = []
-    for stamp, data in read_frames(path):
-        times.append(stamp)
-        for frame in decoder.decode(av.Packet(data)):
-            yield times.pop(0), frame.to_ndarray(format="bgr24")
-    for frame in decoder.decode(None):
-        yield times.pop(0), frame.to_ndarray(format="bgr24")
-
-
 def stills(path: Path, times: Sequence[int]) -> list[tuple[int, Picture]]:
-    """Return the frames nearest to the wall times `times` [ns since 1970]: time and picture, as `decode_frames`.
+    """Return the frames nearest to the wall times `times` [ns since 1970]: wall time [ns] and picture
+    (rows, columns, 3), blue, green, red.
 
     Only these frames and those since the key frame before each are decoded. A video without frames has no stills.
 

@@ -12,14 +12,7 @@ import numpy as np
 
 from core.contract import numbers
 from core.errors import ContractError, CtrError
-from station.devices.interfaces import (
-    Condition,
-    DeviceFault,
-    JointReading,
-    Severity,
-    TipReading,
-    WrenchReading,
-)
+from station.devices.interfaces import Condition, DeviceFault, JointReading, Severity, TipReading, WrenchReading
 
 
 class DriverError(CtrError):

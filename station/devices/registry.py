@@ -40,12 +40,7 @@ Opener = Callable[[], Any]
 Driver = Callable[[Mapping[str, Any], RobotFile], Opener]
 
 INTERFACES: dict[DeviceKind, type] = {"stages": Stages, "tracker": Tracker, "sensors": BaseSensors}
-STAGES_DRIVERS: dict[str, StagesDriver] = {
-    "zaber": ZABER,
-    "zaber_ascii": ZABER_ASCII,
-    "cia402": CIA402,
-    "gcode": GCODE,
-}
+STAGES_DRIVERS: dict[str, StagesDriver] = {"zaber": ZABER, "zaber_ascii": ZABER_ASCII, "cia402": CIA402, "gcode": GCODE}
 BUILT_IN_DRIVERS: dict[DeviceKind, dict[str, Driver]] = {
     "stages": {name: driver.open for name, driver in STAGES_DRIVERS.items()},
     "tracker": {"aurora": aurora, "stereo": stereo},

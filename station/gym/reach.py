@@ -33,9 +33,7 @@ class Reach:
         bounds = self.bodies.observation_bounds
         position = Box(-reach, reach, dtype=np.float64)
         self.observation_space = Dict(
-            observation=Box(-bounds, bounds, dtype=np.float64),
-            achieved_goal=position,
-            desired_goal=position,
+            observation=Box(-bounds, bounds, dtype=np.float64), achieved_goal=position, desired_goal=position
         )
         self.action_space = Actions(n)
 

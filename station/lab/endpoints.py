@@ -328,10 +328,5 @@ def respond(request: bytes, page: Callable[[], bytes | None]) -> bytes:
 
 
 def _answer(status: bytes, body: bytes) -> bytes:
-    lines = [
-        b"HTTP/1.1 " + status,
-        b"Content-Type: text/xml",
-        b"Content-Length: %d" % len(body),
-        b"Connection: close",
-    ]
+    lines = [b"HTTP/1.1 " + status, b"Content-Type: text/xml", b"Content-Length: %d" % len(body), b"Connection: close"]
     return b"\r\n".join(lines) + b"\r\n\r\n" + body

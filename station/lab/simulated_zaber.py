@@ -38,23 +38,10 @@ FIRST_SERIAL_NUMBER = 1000  #: a simulated stage has this serial number plus its
 RENUMBER_TIME_S = 0.5  #: time after Renumber in which the units ignore commands [s]
 RESTART_TIME_S = 0.5  #: time after Reset in which a unit ignores commands [s]
 HOME_SENSOR = 200.0  #: distance of the home sensor below the unit's zero [microsteps]
-_MOVES = frozenset(
-    {
-        ZaberCommand.MOVE_ABSOLUTE,
-        ZaberCommand.MOVE_RELATIVE,
-        ZaberCommand.MOVE_SPEED,
-        ZaberCommand.STOP,
-    }
-)
+_MOVES = frozenset({ZaberCommand.MOVE_ABSOLUTE, ZaberCommand.MOVE_RELATIVE, ZaberCommand.MOVE_SPEED, ZaberCommand.STOP})
 _ANSWERED_ALWAYS = frozenset({ZaberCommand.RENUMBER, *range(50, 64)})
 _READINGS = frozenset(
-    {
-        ZaberCommand.DEVICE_ID,
-        ZaberCommand.FIRMWARE,
-        ZaberCommand.STATUS,
-        ZaberCommand.ECHO,
-        ZaberCommand.POSITION,
-    }
+    {ZaberCommand.DEVICE_ID, ZaberCommand.FIRMWARE, ZaberCommand.STATUS, ZaberCommand.ECHO, ZaberCommand.POSITION}
 )
 # Command numbers as plain integers, because every message needs them and enumeration members are slow.
 _SPEED, _LIMIT, _HOMING = int(ZaberCommand.MOVE_SPEED), int(ZaberCommand.LIMIT_ACTIVE), int(ZaberStatus.HOMING)
@@ -88,14 +75,11 @@ class Unit:
         self.kind, self.number = kind, number
         self.settings: dict[int, int] = {
             ZaberCommand.SET_RESOLUTION: MICROSTEP_RESOLUTION,
-            ZaberCommand.SET_RUN_CURRENT: 10,
-            ZaberCommand.SET_HOLD_CURRENT: 20,
             ZaberCommand.SET_MODE: 1 << 11 | (0 if count is None else Mode.HOMED),
             ZaberCommand.SET_HOME_SPEED: 2922,
             ZaberCommand.SET_SPEED: 2922,
             ZaberCommand.SET_ACCELERATION: 111,
             ZaberCommand.SET_MAXIMUM: kind.travel or kind.turn,
-            ZaberCommand.SET_MOST_RELATIVE: MAX_POSITION,
             ZaberCommand.SET_HOME_OFFSET: 0,
             ZaberCommand.SET_ALIAS: 0,
             ZaberCommand.SET_LOCK: 0,
@@ -170,7 +154,7 @@ class Unit:
         if command == ZaberCommand.HOME:
             self._home()
             return []
-        if ZaberCommand.SET_RESOLUTION <= command <= ZaberCommand.SET_LOCK:
+        if command in self.settings or command == ZaberCommand.SET_POSITION:
             return [self._set(command, data)]
         if command == ZaberCommand.RESTORE:
             if data != 0:
@@ -264,8 +248,6 @@ class Unit:
             return ZaberCommand.ERROR, 3600
         top = top_speed(self.settings[ZaberCommand.SET_RESOLUTION])
         maximum = {
-            ZaberCommand.SET_RUN_CURRENT: 127,
-            ZaberCommand.SET_HOLD_CURRENT: 127,
             ZaberCommand.SET_MODE: _MODE_BITS,
             ZaberCommand.SET_HOME_SPEED: top,
             ZaberCommand.SET_SPEED: top,

@@ -291,11 +291,7 @@ class LiveCalibration:
         return None if self._session is None else self._session.report
 
     def start(
-        self,
-        what: str,
-        effort: float = 1.0,
-        weights: tuple[float, ...] = (),
-        permit: Permit | None = None,
+        self, what: str, effort: float = 1.0, weights: tuple[float, ...] = (), permit: Permit | None = None
     ) -> None:
         """Start a procedure; the caller confirms that the whole workspace of the tubes is free.
 

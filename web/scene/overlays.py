@@ -79,11 +79,7 @@ def workspace_surface(tips: Array, cuts: int = AXIAL_CUTS, corners: int = RING_C
     profile = np.stack((np.concatenate((outer, inner[::-1])), np.concatenate((middle, middle[::-1]))), axis=1)
     angle = 2.0 * np.pi * np.arange(corners) / corners
     rings = np.stack(
-        (
-            profile[:, :1] * np.cos(angle),
-            profile[:, :1] * np.sin(angle),
-            np.repeat(profile[:, 1:], corners, axis=1),
-        ),
+        (profile[:, :1] * np.cos(angle), profile[:, :1] * np.sin(angle), np.repeat(profile[:, 1:], corners, axis=1)),
         axis=2,
     )
     a = np.arange(len(profile))[:, None] * corners

@@ -124,10 +124,7 @@ class CardSensors:
     """Base sensors on analog cards, in the order of the tubes."""
 
     def __init__(
-        self,
-        opens: Callable[[], Sequence[NiCard]],
-        wirings: Sequence[Wiring],
-        stale_after: float = 0.05,
+        self, opens: Callable[[], Sequence[NiCard]], wirings: Sequence[Wiring], stale_after: float = 0.05
     ) -> None:
         """`opens` opens the cards that `wirings` refer to, or raises LinkError."""
         self._opens, self._wirings, self._stale_after = opens, tuple(wirings), stale_after

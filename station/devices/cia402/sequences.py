@@ -4,16 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from station.devices.cia402.bus import (
-    DEADLINE_S,
-    Answer,
-    DriveBus,
-    Emergency,
-    InFault,
-    Request,
-    Restarted,
-    SwitchedOff,
-)
+from station.devices.cia402.bus import DEADLINE_S, Answer, DriveBus, Emergency, InFault, Request, Restarted, SwitchedOff
 from station.devices.cia402.makes import ACCELERATION_UNIT, MAKES, POSITION_UNIT, VELOCITY_UNIT, Entry
 from station.devices.cia402.protocol import (
     COMMAND,

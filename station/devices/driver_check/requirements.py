@@ -85,9 +85,7 @@ class Must(Enum):
         moves=True,
     )
     FINITE = Requirement(
-        "finite positions",
-        "positions that were known remain finite",
-        "a position that is not finite ends every motion",
+        "finite positions", "positions that were known remain finite", "a position that is not finite ends every motion"
     )
     FRESH = Requirement(
         "fresh positions",

@@ -48,15 +48,12 @@ class ZaberCommand(IntEnum):
     STOP = 23
     RESTORE = 36
     SET_RESOLUTION = 37
-    SET_RUN_CURRENT = 38
-    SET_HOLD_CURRENT = 39
     SET_MODE = 40
     SET_HOME_SPEED = 41
     SET_SPEED = 42
     SET_ACCELERATION = 43
     SET_MAXIMUM = 44
     SET_POSITION = 45
-    SET_MOST_RELATIVE = 46
     SET_HOME_OFFSET = 47
     SET_ALIAS = 48
     SET_LOCK = 49
@@ -85,11 +82,6 @@ class ZaberStatus(IntEnum):
 
     IDLE = 0
     HOMING = 1
-    KNOB = 10
-    TO_STORED = 18
-    ABSOLUTE = 20
-    RELATIVE = 21
-    CONSTANT_SPEED = 22
     STOPPING = 23
 
 

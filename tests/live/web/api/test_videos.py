@@ -12,7 +12,6 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 
-from station.camera.video import decode_frames
 from station.devices.cameras import CameraFile
 from station.devices.projection import view_of
 from station.recording.data_section import TELEMETRY_TOPIC
@@ -20,6 +19,7 @@ from station.recording.read import read_case
 from station.recording.recover import recover
 from tests.harness.camera_ball import ball_centre
 from tests.harness.children import children
+from tests.harness.decoded_video import decode_frames
 from tests.harness.serving import Served, serving
 from tests.harness.waiting import until
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.errors import DescriptionError
-from core.robot.closed_surface import closed_surface, winding_number
+from core.robot.closed_surface import RAYS, closed_surface, winding_number
 from core.robot.regions import Region, mesh
 from core.robot.robot import Array
 from tests.harness.wrong_meshes import random_mesh, winding_numbers
@@ -130,6 +130,6 @@ def test_a_surface_with_one_side_is_refused() -> None:
 def test_the_winding_number_by_a_ray_is_that_by_solid_angles() -> None:
     nested = np.concatenate((CUBE, box(4.0, 0.0, 0.0, 0.0), box(4.0, 20.0, 0.0, 0.0)[:, ::-1]))
     points = np.random.default_rng(1).uniform(-0.006, 0.024, (200, 3)) * (1.0, 0.4, 0.4)
-    found = [winding_number(mesh(nested), point) for point in points]
+    found = [winding_number(mesh(nested), point, RAYS[0]) for point in points]
     assert found == np.rint(winding_numbers(nested, points)).astype(int).tolist()
     assert set(found) == {-1, 0, 1, 2}

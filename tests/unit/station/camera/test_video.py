@@ -18,7 +18,6 @@ from core.robot.robot import Robot
 from station.camera.video import (
     VideoWriter,
     camera_of,
-    decode_frames,
     export_videos,
     next_video,
     read_frames,
@@ -33,6 +32,7 @@ from station.recording.recover import recover, recover_file
 from station.recording.run_folder import VIDEOS_FOLDER, free_space_problem
 from station.recording.run_outcome import RecordingError
 from tests.harness.camera_ball import ball_centre
+from tests.harness.decoded_video import decode_frames
 from tests.harness.full_disk import full_disk
 
 CAMERA = CameraFile(width=320, height=240, rate=30.0, simulation=SimulationFile(noise=2.0, ball=0.01))
