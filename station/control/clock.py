@@ -43,8 +43,8 @@ class StationClock:
     """Clock of a live station, which shows the same time in every process of the computer."""
 
     rate: float = 1.0  #: station seconds per real second
-    #: Longest silence of simulated stages and force sensors before they count as lost [s]; the tracker has at least
-    #: its own default. A busy computer delays the replies of simulated devices but does not lose them.
+    #: Longest silence of simulated stages and force sensors before they count as lost [s]; a tracker may be silent as
+    #: long, and at least for its default. A busy computer delays the replies of simulated devices but loses none.
     patience: float = 0.15
 
     def now(self) -> float:

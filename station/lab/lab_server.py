@@ -19,10 +19,10 @@ from station.config.robots import RobotFile
 from station.config.strict import check
 from station.control.clock import REAL_TIME_CLOCK, StationClock
 from station.control.realtime import freeze_garbage_collection, request_fifo
-from station.devices.aurora.tracker import HOLD_AFTER_S
+from station.devices.aurora import tracker as aurora
 from station.devices.cameras import measuring
 from station.devices.config import BenchFile
-from station.devices.stereo.tracker import HOLD_AFTER_S as CAMERAS_HOLD_AFTER_S
+from station.devices.stereo import tracker as stereo
 from station.lab.aurora_coil import GENERATOR_POSE
 from station.lab.config import LabConfig
 from station.lab.endpoints import HOST, PageServer, PtyDeviceEnd, Readable, TcpDeviceEnd, UdpDeviceEnd
@@ -48,7 +48,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
             "port": endpoints["aurora"],
             "frame_rate": config.tracker.rate,
             "latency": config.tracker.latency,
-            "stale_after": max(HOLD_AFTER_S, clock.patience),
+            "stale_after": max(aurora.HOLD_AFTER_S, clock.patience),
             # The generator is upside down, as in `GENERATOR_POSE`: half a turn about x.
             "mount": {"position": GENERATOR_POSE.position.tolist(), "rotation_vector": [math.pi, 0.0, 0.0]},
         },
@@ -59,7 +59,7 @@ def devices_at(endpoints: Mapping[str, Any], config: LabConfig, clock: StationCl
     if config.cameras:
         tables["tracker"] = {
             "driver": "stereo", "cameras": tuple(config.cameras), "views": measuring(config.cameras),
-            "stale_after": max(CAMERAS_HOLD_AFTER_S, clock.patience),
+            "stale_after": max(stereo.HOLD_AFTER_S, clock.patience),
         }  # fmt: skip
     return check(BenchFile, {kind: tables[kind] for kind in tables if kind not in config.without}, "virtual lab")
 
@@ -126,11 +126,7 @@ class LabServer:
             config.stages: self._lines[0].name,
             "aurora": self._lines[1].name,
             "netft": [
-                {
-                    "tube": name,
-                    "rdt": f"udp://{HOST}:{box.port}",
-                    "page": f"http://{HOST}:{page.port}/netftapi2.xml",
-                }
+                {"tube": name, "rdt": f"udp://{HOST}:{box.port}", "page": f"http://{HOST}:{page.port}/netftapi2.xml"}
                 for name, box, page in zip(robot.sensor_names, boxes, self._pages, strict=True)
             ],
         }

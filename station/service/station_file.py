@@ -236,10 +236,10 @@ class ClockFile(Strict):
     recorder together. Only the virtual lab can be slowed, for tests or on computers that are too slow for real time"""
     patience: Annotated[float, Field(ge=0.02, le=10.0)] | None = None
     """longest silence of the stages and force sensors before they count as lost [s]. The default is 0.15 for the
-    virtual lab, because other programs on this computer may delay simulated devices; the tracker then has
-    at least its own default. With other devices this key sets a missing `deadline` of stages of a built-in driver and a
-    missing `stale_after` of `netft` sensors; without this key the drivers' defaults apply. Use this key for a bench
-    that `ctr-station lab` simulates"""
+    virtual lab, because other programs on this computer may delay simulated devices; the tracker may then be silent as
+    long, and at least for its default. With other devices this key sets a missing `deadline` of stages of a built-in
+    driver and a missing `stale_after` of `netft` sensors; without this key the drivers' defaults apply. Use this key
+    for a bench that `ctr-station lab` simulates"""
 
     def for_devices(self, devices: DevicesFile) -> StationClock:
         """Return the clock of a station that has these devices.

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from station.devices.aurora import tracker
 from station.devices.aurora.dialogue import AuroraSettings, Coil, SerialBreak
 from station.devices.aurora.protocol import AuroraError, Transform
 from station.devices.aurora.session import AuroraSession
@@ -250,9 +251,10 @@ def test_mute_unit_is_reported_and_found_when_it_answers_again():
 
 
 @pytest.mark.parametrize(("options", "hold_after"), [({}, 0.25), ({"stale_after": 1.0}, 1.0)])
-def test_silent_tracker_is_a_warning_until_the_configured_time_and_then_a_hold(options, hold_after):
+def test_silent_tracker_is_a_warning_until_the_configured_time_and_then_a_hold(options, hold_after, paper, monkeypatch):
     bench = AuroraBench()
-    bench.tracker = AuroraTracker(bench.port, registration=GENERATOR_POSE, **options)
+    monkeypatch.setattr(tracker, "SerialLink", lambda _port, _baud: bench.port)
+    bench.tracker = tracker.aurora({"port": "/dev/ttyUSB0", **options}, paper)()
     bench.run(1.0)
     bench.unit.faults.mute = True
     bench.run(hold_after - 0.05)
