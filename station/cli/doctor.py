@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import platform
 import shutil
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -14,16 +15,17 @@ from typing import TYPE_CHECKING
 from station.benchmarks.loop import TimerProbe
 from station.cli.machine import README, MachineFinding, setup_findings
 from station.control.realtime import may_lock_memory, request_fifo
+from station.control.sleep import TURN_OFF_SLEEP, keeper_command, never_sleeps
 
 if TYPE_CHECKING:
     from station.service.station_file import Rig
 
-#: Duration of the measurement of timer delays, and longest wait for the start of that measurement [s].
-TIMER_PROBE_S, TIMER_START_TIMEOUT_S = 3.0, 20.0
+#: Duration of the measurement of timer delays; longest waits for its start, and for the keeper that prevents sleep [s].
+TIMER_PROBE_S, TIMER_START_TIMEOUT_S, KEEPER_TIMEOUT_S = 3.0, 20.0, 5.0
 
 
 def findings(config: Path | None = None) -> Iterator[MachineFinding]:
-    """Check scheduling, processors, memory, serial ports, the setup for a bench, the browser, and a station file.
+    """Check scheduling, processors, memory, sleep, serial ports, the setup for a bench, the browser, a station file.
 
     Raises:
         ConfigError: the station file is invalid.
@@ -45,6 +47,7 @@ def findings(config: Path | None = None) -> Iterator[MachineFinding]:
     yield _punctuality()
     yield _memory()
     yield _shared_memory()
+    yield _sleep()
     yield from _serial_ports()
     browser = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     yield MachineFinding(
@@ -122,6 +125,22 @@ def _shared_memory() -> MachineFinding:
     memory.close()
     memory.unlink()
     return MachineFinding("shared memory", True, "available for telemetry")
+
+
+def _sleep() -> MachineFinding:
+    """Check whether a station can keep this computer awake: stages go on while it sleeps."""
+    if never_sleeps():
+        return MachineFinding("sleep", True, "it is turned off")
+    try:
+        keeper = subprocess.run(  # noqa: S603 - a fixed command
+            keeper_command(lid=True), stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=KEEPER_TIMEOUT_S
+        )
+        refused = " ".join(keeper.stderr.split()) if keeper.returncode else ""
+    except (OSError, subprocess.TimeoutExpired) as error:
+        refused = str(error)
+    if not refused:
+        return MachineFinding("sleep", True, "the station prevents it while it runs")
+    return MachineFinding("sleep", False, f"the station cannot prevent it ({refused}): {TURN_OFF_SLEEP}")
 
 
 def _latency(rig: "Rig") -> MachineFinding:

@@ -41,7 +41,8 @@ from station.control.ring import (
     STATE,
     Ring,
 )
-from station.control.states import State, Transition, check_state
+from station.control.sleep import SleepDetector
+from station.control.states import MOVING, State, Transition, check_state
 from station.control.task import Phase, StreamRequest
 from station.control.telemetry import Channels
 from station.devices.config import BenchFile
@@ -168,6 +169,7 @@ class _LiveLoop:
         self._commands.register(pipe, select.POLLIN)
         self._station = StationLife(ring, setup.clock, parent)
         self._overruns = Overruns(setup.overruns, PERIOD_S)
+        self._sleep = SleepDetector()
         self._started = 0.0
         self._prepared = len(PREPARED)
         self._noted = StateNotice(State.OFF, "", 0)
@@ -210,7 +212,7 @@ class _LiveLoop:
     def _judge_lateness(self, now: float, skipped: int) -> None:
         """End a motion after too many overruns; overruns count only during a motion or homing."""
         slow = self._calls.longest()  # slow call in the previous tick, which may have made this tick late
-        if self._loop.state not in (State.RUNNING, State.HOMING):
+        if self._loop.state not in MOVING:
             self._overruns.forget()
             return
         late = self._overruns.check(now, skipped, slow)
@@ -221,6 +223,8 @@ class _LiveLoop:
 
     def _tick(self, tick: int) -> None:
         loop, ring, now = self._loop, self._ring, tick * PERIOD_S
+        if slept := self._sleep.check():
+            loop.wake(now, slept)
         row = loop.tick(now, ring.truth(), self._setpoint_request())
         if row is not None:
             ring.write(row)
@@ -232,7 +236,7 @@ class _LiveLoop:
         if self._station.silence < STATION_TIMEOUT_S:
             if tick % REPORT_TICKS == 0:
                 self._pipe.send(DeviceReport(_statuses(loop.devices, now, loop.warning)))
-        elif loop.state in (State.RUNNING, State.HOMING) and (details := self._without_station(standstill)):
+        elif loop.state in MOVING and (details := self._without_station(standstill)):
             silent = f"the station process was silent for {self._station.silence:.1f} s, and all axes were stopped"
             loop.stop(now, cause=too_busy(silent), details=details)
 
@@ -277,7 +281,7 @@ class _LiveLoop:
             station = life(self._parent)
             if station is Life.ENDED:
                 return False
-            if station is Life.SUSPENDED and self._loop.state in (State.RUNNING, State.HOMING):
+            if station is Life.SUSPENDED and self._loop.state in MOVING:
                 self._loop.stop(now, cause="the station process was suspended, and all axes were stopped")
         try:
             while self._commands.poll(0):

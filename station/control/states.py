@@ -24,6 +24,8 @@ class State(IntEnum):
 
 #: States that a person must reset.
 LATCHED = (State.HOLD, State.STOPPED, State.FAULT)
+#: States in which the stages may move.
+MOVING = (State.RUNNING, State.HOMING)
 #: States that end by themselves when devices, stages or controller become ready.
 AUTO_STATES = (State.CONNECTING, State.CONNECTED, State.HOMING, State.HOMED)
 

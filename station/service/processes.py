@@ -13,7 +13,8 @@ from station.control.messages import StateNotice
 from station.control.process import ring_width
 from station.control.realtime import Life, life, load, request_fifo, too_busy
 from station.control.ring import HEARTBEAT, LAB_HEARTBEAT, STATE, STATION_HEARTBEAT, WATCHERS, Ring
-from station.control.states import RefusedError, State
+from station.control.sleep import TURN_OFF_SLEEP, Awake
+from station.control.states import MOVING, RefusedError, State
 from station.devices.config import BenchFile
 from station.lab.faults import LabFault
 from station.lab.process import LabBench, LabError, LabHost
@@ -150,8 +151,6 @@ HEARTBEAT_TIMEOUT_S = 3.0
 LAB_LABEL, CONTROL_LABEL, GUARD_LABEL = "the virtual lab", "the control process", "the guard"
 #: Time for the guard to end [s]; after it the guard is killed.
 GUARD_PATIENCE_S = 1.0
-#: States in which the stages may move.
-MOVING = (State.RUNNING, State.HOMING)
 #: Time without a tick after which the system is asked whether the control process is suspended [s].
 SUSPENDED_AFTER_S = 0.2
 #: Interval between two checks by the watchdog [s].
@@ -187,6 +186,7 @@ class ProcessSupervisor:
         self._checked_at = self._late_at = 0.0  # times of the last check and of the last long delay [s]
         self._late = 0.0  # latest delay of the watchdog that caused a warning [s]
         self._guard: Guard | None = None
+        self._awake: Awake | None = None  # keeper that prevents sleep of this computer
         self._parent = os.getppid()
         self._lost = dict.fromkeys(Rank, 0)  # process IDs of helpers that were found ended or suspended
         self.control: ControlHost | None = None  #: host of the present control process; None before `open`
@@ -196,6 +196,7 @@ class ProcessSupervisor:
     def open(self) -> None:
         """Start the processes and the watchdog; call this once."""
         limit_to_one_thread()
+        self._awake = Awake(lid=self._bench.devices is not None)
         self._ring.counters[WATCHERS + Rank.STATION] = os.getpid()
         self._start_guard()
         self.lab.open()
@@ -266,13 +267,16 @@ class ProcessSupervisor:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings that the station process was delayed."""
-        if not self._late or self._clock.now() - self._late_at > WARNING_DURATION_S:
-            return ()
-        return (
-            f"this computer is too busy: the station process was delayed by {self._late:.1f} s ({load()}), and a STOP"
-            " would be delayed, too; close pages and clients, end other programs; run ctr-station doctor",
-        )
+        """Warnings that the station process was delayed, or that this computer may sleep while real stages move."""
+        found: list[str] = []
+        if self._late and self._clock.now() - self._late_at <= WARNING_DURATION_S:
+            found.append(
+                f"this computer is too busy: the station process was delayed by {self._late:.1f} s ({load()}), and a"
+                " STOP would be delayed, too; close pages and clients, end other programs; run ctr-station doctor"
+            )
+        if self._bench.devices is not None and self._awake is not None and (refused := self._awake.refused):
+            found.append(f"this computer may sleep, and moving stages would then go on ({refused}): {TURN_OFF_SLEEP}")
+        return tuple(found)
 
     def end_control(self) -> StopOutcome:
         """Stop every axis and end the control process; no control process is started after this call.
@@ -291,6 +295,8 @@ class ProcessSupervisor:
         if self._guard is not None:
             self._guard.close(GUARD_PATIENCE_S)
             self._guard = None
+        if self._awake is not None:
+            self._awake.close()
         if self._watchdog.is_alive():
             self._watchdog.join(timeout=self._clock.real(3.0))
 

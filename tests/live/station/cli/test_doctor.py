@@ -13,6 +13,7 @@ def test_every_finding_of_doctor_has_a_text_and_the_timer_is_measured():
         "timer",
         "memory",
         "shared memory",
+        "sleep",
         "serial ports",
         "port rights",
         "udev rules",
