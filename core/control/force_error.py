@@ -36,6 +36,13 @@ def error_by_deflection(deflection: DeflectionForce) -> float:
     return DEVIATIONS * math.sqrt(max(found[found < (UNKNOWN * LARGEST_FORCE_N) ** 2], default=0.0))
 
 
+def unknown_along(deflection: DeflectionForce, direction: Array) -> bool:
+    """Return whether the tubes bend too little for the force along a unit vector (3,) to be known."""
+    xx, xy, xz, yy, yz, zz = deflection.covariance
+    variance = direction @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ direction
+    return bool(variance >= (UNKNOWN * LARGEST_FORCE_N) ** 2)
+
+
 def _eigenvalues(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> Array:
     matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return np.maximum(np.linalg.eigvalsh(matrix), 0.0)

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from core.control.controller_settings import Controller
-from core.control.force_control import CONTACT
+from core.control.force_control import CONTACT, Press
+from core.control.force_error import unknown_along
 from core.control.step import (
     ControllerState,
     Sample,
@@ -78,6 +79,11 @@ from station.devices.interfaces import (
 NO_DIRECTION_CONTROL = (
     "the tip's direction is not controlled here; the station file's [controller] needs task ="
     " 'position_and_direction', and the robot five joints or more"
+)
+#: Cause of a HOLD instead of a press in a direction in which the bench measures no force.
+UNKNOWN_PRESS = (
+    "without force sensors for the whole load, the force along the tubes is unknown, and the tip would press far too"
+    " hard in this direction: press across the tubes"
 )
 #: Error text for a change of the stiffness without a motion that has one.
 NO_STIFFNESS = (
@@ -603,6 +609,9 @@ class ControlLoop:
             text = f"the tracker measured no position within {AVERAGE_S:g} s; is the coil inside its volume?"
             self._act_on(DeviceFault(Severity.HOLD, text), now)
             return False
+        if task.press is not None and self._unknown(task.press):
+            self._act_on(DeviceFault(Severity.HOLD, UNKNOWN_PRESS), now)
+            return False
         if refused := self._set_zero(now, rest, joints, tip, loaded=task.loaded):
             self._act_on(DeviceFault(Severity.HOLD, f"a tare would hide a contact: {refused}"), now)
             return False
@@ -623,6 +632,11 @@ class ControlLoop:
         else:
             self._motion = TimedMotion(task.orders, start)
         return True
+
+    def _unknown(self, press: Press) -> bool:
+        """Return whether the bench cannot measure the force of a press."""
+        deflection = None if self.controller.senses or self._memory is None else self._memory.deflection
+        return deflection is not None and unknown_along(deflection, press.direction)
 
     def _set_zero(
         self, now: float, rest: SettlePhase, joints: JointReading, tip: Array, *, loaded: bool = False,
