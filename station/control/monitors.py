@@ -219,7 +219,10 @@ class SnapMonitor:
         if cause := self._ahead.check(loaded, sent, tick.command):
             return DeviceFault(Severity.HOLD, cause)
         away = tick.memory.tip - loaded.tip
-        if tip and not self._placed and (misplaced := self._misplaced(away)):
+        # Without force sensors the model does not know the load, but the force from the deflection explains its part.
+        deflection = None if self._knows_force else tick.memory.deflection
+        unexplained = away if deflection is None else tick.memory.tip - deflection.solution.tip
+        if tip and not self._placed and (misplaced := self._misplaced(unexplained)):
             return misplaced
         self._placed |= tip
         if not frame:
@@ -366,7 +369,8 @@ class ProgressMonitor:
 #: Time constant of the mean force that is compared with its bound [s]; noise and a tap are shorter.
 OVERLOAD_TIME_S = 0.09
 #: Rules for jogs above the bound. The force may rise by at most the first value in all jogs, or by the second in each
-#: further jog [N]. Within the third value [s] it must fall by the fourth [N].
+#: further jog [N]. Within the third value [s] it must fall by the fourth [N]. The rules begin below the bound by the
+#: first value: after a HOLD the tip often rests at the bound, and noise alone takes the force above it and back.
 RELIEF_RISE_N, FURTHER_RISE_N, RELIEF_TIME_S, RELIEF_FALL_N = 0.05, 0.01, 1.0, 0.02
 
 
@@ -384,8 +388,8 @@ class ForceMonitor:
         self.possible = 0.0  #: size of `force` plus its largest plausible error [N]
         self._time = 0.0
         self._bound: ForceBound | None = None
-        self._relieves = False  # whether the present motion is a jog that started above the bound
-        self._lowest: float | None = None  # lowest force since the first jog above the bound [N]
+        self._relieves = False  # whether the present motion is a jog that started above the bound, or just below it
+        self._lowest: float | None = None  # lowest force since the first such jog [N]
         self._lowest_now: float | None = None  # lowest force since the start of the present jog [N]
         self._before: tuple[float, float] | None = None  # time [s] and force [N] from which a jog must lower the force
 
@@ -399,12 +403,15 @@ class ForceMonitor:
         self.force = force.copy() if mean is None else mean + part * (force - mean)
         self._size, self._time, self._bound = math.hypot(*self.force.tolist()), now, bound
         self.possible = self._size + error
-        if not self._excess:
+        if not self._exceeds(-RELIEF_RISE_N):
             self._relieves, self._lowest = False, None
+
+    def _exceeds(self, margin: float) -> bool:
+        return self.force is not None and self._bound is not None and self.possible > self._bound.newton + margin
 
     @property
     def _excess(self) -> bool:
-        return self.force is not None and self._bound is not None and self.possible > self._bound.newton
+        return self._exceeds(0.0)
 
     @property
     def _is_certain(self) -> bool:
@@ -412,19 +419,19 @@ class ForceMonitor:
 
     def begin(self, *, jog: bool) -> str:
         """Prepare for a motion; return why it must not start, in one line; empty if it may."""
-        self._relieves, self._before, self._lowest_now = jog and self._excess, None, None
+        self._relieves, self._before, self._lowest_now = jog and self._exceeds(-RELIEF_RISE_N), None, None
         return "" if jog or not self._excess else self._text()
 
     def check(self, now: float) -> str:
         """Return why a motion must end at `now` [s], in one line; empty if it may continue."""
-        if not self._excess:
-            return ""
         force = self._size
         if not self._relieves:
-            return self._text()
+            return self._text() if self._excess else ""
         self._before = self._before or (now, force)
         self._lowest = min(force, self._lowest or force)
         self._lowest_now = min(force, self._lowest_now or force)
+        if not self._excess:
+            return ""
         since, then = self._before
         if force > max(self._lowest + RELIEF_RISE_N, self._lowest_now + FURTHER_RISE_N):
             return self._text()
