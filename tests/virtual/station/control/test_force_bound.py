@@ -1,10 +1,12 @@
 """The force on the tip stays within its bound, and no tare hides a contact, on every bench that measures a force."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
+from core.control.force_control import OVERSHOOT
 from station.config.loads import NoLoad, RampLoad, WallLoad
 from station.control.force_zero import QUIET_N
 from station.control.monitors import FURTHER_RISE_N, OVERLOAD_TIME_S, RELIEF_RISE_N
@@ -77,8 +79,9 @@ def test_every_order_ends_in_hold_above_the_largest_force(without: tuple[Kind, .
     assert (station.joints[-1] == at).all()
 
 
-def test_max_force_of_a_robots_file_ends_a_motion() -> None:
-    station = IdealStation()
+@pytest.mark.parametrize("without", BENCHES)
+def test_max_force_of_a_robots_file_ends_a_motion(without: tuple[Kind, ...]) -> None:
+    station = IdealStation(without)
     file = station.case.robot.model_copy(update={"max_force": 0.4})
     station.controller = station.file.controller(file, station.present)
     _hold(station)
@@ -143,6 +146,29 @@ def test_presses_on_a_wall_that_stays_do_not_add_up() -> None:
     station.loop.start(press)
     station.end()
     assert station.peak < 1.6 * force
+
+
+@pytest.mark.parametrize("without", BENCHES)
+def test_six_presses_each_with_a_stop_and_a_reset_do_not_add_up(without: tuple[Kind, ...]) -> None:
+    station, force = IdealStation(without), 0.3
+    station.lab.apply_load(WallLoad(direction=(-1.0, 0.0, 0.0), distance=0.002, stiffness=1000.0), station.now)
+    for _ in range(6):
+        with suppress(RefusedError):
+            station.loop.start(station.pressing((1.0, 0.0, 0.0), force, 20.0))
+            station.seconds(6.0)
+        station.loop.stop(station.now)
+        station.seconds(0.3)
+        station.loop.reset(station.now)
+    assert force * (1.0 - UNKNOWN_N[without]) < station.true_size <= station.peak < (1.0 + OVERSHOOT) * force
+
+
+def test_a_press_along_the_tubes_moves_no_joint_of_a_bench_that_does_not_know_this_force() -> None:
+    station = IdealStation(("sensors",))
+    station.lab.apply_load(WALL, station.now)
+    station.loop.start(station.pressing((0.0, 0.0, 1.0), 0.3, 20.0))
+    station.end()
+    assert "the force along the tubes is unknown" in station.loop.cause
+    assert (station.joints[-1] == station.joints[0]).all()
 
 
 def test_streams_onto_a_wall_that_stays_do_not_add_up() -> None:
