@@ -127,7 +127,7 @@ class Setpoints:
         """
         # With the sender's time the station compensates varying delays of messages, which would shake the tip.
         pointing = {} if direction is None else {"direction": list(direction)}
-        return self.send({"tip": [x, y, z], "time": time.monotonic(), **pointing})
+        return self.send({"tip": [x, y, z], "time": time.perf_counter(), **pointing})
 
     def move(self, x: float, y: float, z: float) -> dict[str, Any]:
         """Send a velocity of the tip [m/s]; the answer and the errors are those of `go`."""

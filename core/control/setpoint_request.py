@@ -166,7 +166,7 @@ class SetpointRequest(NamedTuple):
 
     position: Array | None  #: (3,) requested position from the start tip [m]; None: the request is a velocity
     velocity: Array  #: (3,) requested velocity; with a position: velocity of the requested position [m/s]
-    time: float  #: time at which the request was received [s]
+    time: float  #: time at which the request was received, without the network's jitter if its sender gave times [s]
     extrapolation: float  #: time for which `velocity` moves the goal [s]; afterwards the goal is `position`, at rest
     direction: Array | None = None  #: (3,) requested direction of the tip, unit vector; None: never requested
 

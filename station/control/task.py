@@ -158,7 +158,8 @@ class StreamedMotion:
         """
         self._limits, self._period = limits, period
         self._tip = StreamedTip(limits.bounds, limits.turning, pointing)
-        self._received = start  # arrival time of the last message, or start of the motion [s]
+        # Time of the newest request by its sender, and time at which it arrived; at first the start of the motion [s].
+        self._newest = self._received = start
 
     def order(self, now: float, blind: float, request: StreamRequest | None) -> Setpoint | None:
         """Return the setpoint of this tick; None after the end of the motion.
@@ -170,8 +171,8 @@ class StreamedMotion:
                 to rest and the motion ends.
         """
         setpoint = None if request is None else request.setpoint
-        if setpoint is not None:
-            self._received = max(self._received, setpoint.time)
+        if setpoint is not None and setpoint.time > self._newest:
+            self._newest, self._received = setpoint.time, now
         silent = now - self._received
         rests = self._tip.speed < REST_SPEED_M_S and self._tip.turning < REST_TURN_RAD_S
         if (request is not None and setpoint is None and rests) or silent > self._limits.end:

@@ -25,11 +25,10 @@ BUNCH_S = 0.005
 #: Duration of a position's extrapolation in periods of the sender, so that one message may get lost; shortest and
 #: longest duration [s]. The shortest duration lets a message be some milliseconds late without stopping the tip.
 EXTRAPOLATION_PERIODS, MIN_EXTRAPOLATION_S, MAX_EXTRAPOLATION_S = 2.5, 0.05, 0.2
-#: Largest transport delay of a message according to the sender's clock [s]; a larger delay means that the sender's
-#: clock was set to another time.
-MAX_TRANSPORT_DELAY_S = 0.1
-#: Largest drift between the clocks of sender and receiver [s/s].
-MAX_CLOCK_DRIFT = 1e-3
+#: Time for which a transport delay is remembered [s].
+DELAY_MEMORY_S = 1.0
+#: Largest delay beyond the shortest one that the sender's time compensates [s].
+MAX_LATENESS_S = 0.1
 #: Length of the shortest vector that is accepted as a direction.
 MIN_DIRECTION_LENGTH = 1e-9
 
@@ -56,8 +55,9 @@ class SetpointStream:
         self._gap, self._last = 0.0, now
         self._bunch = -math.inf  # start of the newest bunch [s]
         self._speed = agreement.speed
-        # Offset of the sender's clock including the shortest transport delay [s], and time of its last update [s].
-        self._offset, self._offset_time = math.inf, now
+        self._sent = -math.inf  # previous time of the sender [s]
+        # Arrivals, and delays by both clocks, of the messages after which no delay was shorter [s].
+        self._delays: deque[tuple[float, float]] = deque()
 
     def count(self, now: float) -> None:
         """Count a received message and check the rate of messages.
@@ -85,7 +85,8 @@ class SetpointStream:
         Args:
             position: requested position of the tip [m].
             now: time of arrival [s].
-            sent: time of sending on the sender's clock [s]; it compensates for variable transport delays.
+            sent: time of sending on the sender's clock [s]; it compensates for variable transport delays, unless the
+                sender's clock stands still, is coarse or was set back.
             direction: requested direction of the tip in the world frame, of any length but zero; None: the latest one.
 
         Raises:
@@ -101,18 +102,20 @@ class SetpointStream:
                 f" of {1e3 * self._reach:.4g} mm; the previous setpoint remains"
             )
         self._direction = pointing
-        when, samples = self._when(now, sent), self._samples
+        now = max(now, self._last)
+        when, samples = max(self._last, now - self._lateness(now, sent)), self._samples
         if samples and when - samples[-1][0] > MAX_EXTRAPOLATION_S:
             samples.clear()  # positions before a pause give no velocity
-        if samples and when - self._bunch < BUNCH_S:
+        if samples and now - self._bunch < BUNCH_S:
             samples.pop()  # only the newest position of a bunch counts
-        period = self._period(when)
+        self._last = when
+        lasts = max(EXTRAPOLATION_PERIODS * self._period(now), MIN_EXTRAPOLATION_S)
+        lasts = min(lasts + now - when, MAX_EXTRAPOLATION_S)  # as long after the arrival, however late the message is
         samples.append((when, relative))
-        while len(samples) > MIN_WINDOW_POINTS and when - samples[0][0] > VELOCITY_WINDOW_S:
+        while len(samples) > MIN_WINDOW_POINTS and when - samples[0][0] > max(VELOCITY_WINDOW_S, lasts):
             samples.popleft()
         velocity = _limit_speed(_slope(samples), self._speed)
         speed, travel = math.hypot(*velocity), math.dist(relative, samples[0][1])
-        lasts = min(max(EXTRAPOLATION_PERIODS * period, MIN_EXTRAPOLATION_S), MAX_EXTRAPOLATION_S)
         return SetpointRequest(relative, velocity, when, min(lasts, travel / speed) if speed > 0.0 else lasts, pointing)
 
     def velocity(self, requested: tuple[float, ...], now: float) -> SetpointRequest:
@@ -123,7 +126,7 @@ class SetpointStream:
         """
         velocity = _limit_speed(_vector("velocity", requested, "m/s"), self._speed)
         self._samples.clear()
-        now = max(now, self._last)
+        self._last = now = max(now, self._last)
         self._period(now)
         return SetpointRequest(None, velocity, now, math.inf, self._direction)
 
@@ -147,21 +150,23 @@ class SetpointStream:
         vector /= largest  # otherwise the square of a large finite number could overflow
         return vector / math.hypot(*vector)
 
-    def _when(self, now: float, sent: float | None) -> float:
-        """Return a message's arrival time without network jitter, never before that of the last message [s]."""
-        now = max(now, self._last)
+    def _lateness(self, now: float, sent: float | None) -> float:
+        """Return by how much a message's delay exceeds the shortest recent one [s]; 0 without a usable time."""
         if sent is None:
-            return now
-        behind = now - sent
-        self._offset = min(self._offset + MAX_CLOCK_DRIFT * (now - self._offset_time), behind)
-        self._offset_time = now
-        if not behind - self._offset <= MAX_TRANSPORT_DELAY_S:
-            self._offset = behind
-        return max(self._last, now - (behind - self._offset))
+            return 0.0
+        if sent <= self._sent:  # the sender's clock stands still, is coarse or was set back
+            self._delays.clear()
+        self._sent, delay, delays = sent, now - sent, self._delays
+        while delays and delays[-1][1] >= delay:
+            delays.pop()
+        delays.append((now, delay))
+        while now - delays[0][0] > DELAY_MEMORY_S:
+            delays.popleft()
+        return min(delay - delays[0][1], MAX_LATENESS_S)
 
     def _period(self, now: float) -> float:
         """Return the sender's smoothed period between the starts of two bunches [s]; pauses are ignored."""
-        self._last, gap = now, now - self._bunch
+        gap = now - self._bunch
         if gap >= BUNCH_S:
             self._bunch = now
             if gap < MAX_EXTRAPOLATION_S:
