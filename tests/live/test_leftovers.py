@@ -67,28 +67,3 @@ def test_leftover_thread_process_or_port_fails_its_own_test_by_name_and_not_the_
         leak(kept)
     with nothing_left_behind(0.0):
         pass
-
-
-def test_body_without_leftovers_after_the_grace_time_passes(kept: ExitStack) -> None:
-    with nothing_left_behind(0.0), ExitStack() as tidy:
-        for leak in (thread, child, tcp, udp, port_of_a_child):
-            leak(tidy)
-    with nothing_left_behind(600.0):
-        thread(kept)
-        threading.Timer(0.05, kept.close).start()
-
-
-def test_process_that_ran_before_the_test_may_open_a_port(kept: ExitStack) -> None:
-    code = (
-        "import socket, sys; print(flush=True); sys.stdin.readline();"
-        " kept = socket.create_server(('127.0.0.1', 0)); print(flush=True); sys.stdin.read()"
-    )
-    pipe = subprocess.PIPE
-    before = kept.enter_context(subprocess.Popen([sys.executable, "-S", "-c", code], stdin=pipe, stdout=pipe))
-    assert before.stdin is not None
-    assert before.stdout is not None
-    before.stdout.readline()
-    with nothing_left_behind(0.0):
-        before.stdin.write(b"\n")
-        before.stdin.flush()
-        before.stdout.readline()

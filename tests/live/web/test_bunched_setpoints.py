@@ -3,7 +3,6 @@
 import json
 import socket
 import struct
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
@@ -22,8 +21,6 @@ from tests.harness.serving import Served, shared_memory
 from tests.harness.waiting import until
 
 WIDE = {"silence": 2.0, "end": 20.0}  # the station's clock is slow and the computer busy
-#: Requested position relative to the start [mm].
-BUNCH = ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0))
 
 
 @contextmanager
@@ -65,19 +62,6 @@ class Watched:
         rows, self._since, _ = self.ring.read(self._since)
         self._rows.append(rows)
         return self._channels.of(np.concatenate(self._rows), group)
-
-
-def test_setpoints_bunched_within_a_millimetre_keep_the_tip_near_the_start(station: Served) -> None:
-    pause = 0.1
-    with leading(station) as client, Watched(station) as watched:
-        for _ in range(round(3.0 / pause)):
-            for place in BUNCH:
-                client.send(json.dumps({"tip": [1e-3 * x for x in place]}))
-            time.sleep(pause)
-        for name, most in (("tip_desired", 4e-3), ("tip_true", 6e-3)):
-            tip = watched(name)
-            assert np.linalg.norm(tip - tip[0], axis=1).max() < most, name
-        client.send('{"end": true}')
 
 
 def test_station_follows_only_the_newest_of_setpoints_that_arrive_at_once_and_refuses_none(station: Served) -> None:
