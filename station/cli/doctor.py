@@ -128,7 +128,7 @@ def _shared_memory() -> MachineFinding:
 
 
 def _sleep() -> MachineFinding:
-    """Check whether a station can keep this computer awake: stages go on while it sleeps."""
+    """Check whether a station can keep this computer awake: stages continue while it sleeps."""
     if never_sleeps():
         return MachineFinding("sleep", True, "it is turned off")
     try:

@@ -259,9 +259,9 @@ class ControlLoop:
     def wake(self, now: float, slept: float) -> None:
         """Stop every axis after the computer has slept for `slept` [s], in which no program could stop them."""
         if self.state in (State.READY, State.RUNNING, State.HOMING):
-            went_on = "" if self.state is State.READY else "; the stages may have gone on meanwhile"
+            moved = "" if self.state is State.READY else "; the stages may have moved meanwhile"
             event = Transition.STOP if self.state is State.HOMING else Transition.HOLD
-            self.stop(now, event, f"this computer has slept for {slept:.3g} s{went_on}: check the robot")
+            self.stop(now, event, f"this computer has slept for {slept:.3g} s{moved}: check the robot")
 
     def start(self, task: MotionTask) -> None:
         """Start a task: approach the start pose, rest to tare the sensors and measure the tip, then execute the motion.

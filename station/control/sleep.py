@@ -1,6 +1,6 @@
 """Sleep of the computer: prevent it while the station runs, and detect it afterwards.
 
-While a computer sleeps, no program can stop the stages, which go on with their last velocity.
+While a computer sleeps, no program can stop the stages, which continue at their last velocity.
 """
 
 import os
@@ -26,7 +26,7 @@ TURN_OFF_SLEEP = "turn sleep off in the settings of this computer; with systemd:
 def time_asleep() -> float:
     """Return how long this computer has slept since its start [s]; 0 if the system does not count this.
 
-    The clock that goes on during sleep is read first, so that a delay between both readings makes the result smaller.
+    The clock that advances during sleep is read first, so that a delay between both readings makes the result smaller.
     """
     if sys.platform == "linux":
         return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
@@ -76,7 +76,7 @@ class Awake:
         self._refused, self._asking = "", threading.Lock()  # each request for the status may ask, in its own thread
         pipe = subprocess.PIPE
         try:
-            # In a session of its own, signals from the terminal do not end the keeper before the station has ended.
+            # In a separate session, signals from the terminal do not end the keeper before the station has ended.
             self._keeper = subprocess.Popen(  # noqa: S603 - a fixed command
                 keeper_command(lid=lid), stdin=pipe, stdout=subprocess.DEVNULL, stderr=pipe, text=True,
                 start_new_session=True,

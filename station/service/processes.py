@@ -275,7 +275,7 @@ class ProcessSupervisor:
                 " STOP would be delayed, too; close pages and clients, end other programs; run ctr-station doctor"
             )
         if self._bench.devices is not None and self._awake is not None and (refused := self._awake.refused):
-            found.append(f"this computer may sleep, and moving stages would then go on ({refused}): {TURN_OFF_SLEEP}")
+            found.append(f"this computer may sleep, and moving stages then continue ({refused}): {TURN_OFF_SLEEP}")
         return tuple(found)
 
     def end_control(self) -> StopOutcome:

@@ -86,7 +86,7 @@ class SetpointStream:
             position: requested position of the tip [m].
             now: time of arrival [s].
             sent: time of sending on the sender's clock [s]; it compensates for variable transport delays, unless the
-                sender's clock stands still, is coarse or was set back.
+                sender's clock does not advance, is coarse or was set back.
             direction: requested direction of the tip in the world frame, of any length but zero; None: the latest one.
 
         Raises:
@@ -154,7 +154,7 @@ class SetpointStream:
         """Return by how much a message's delay exceeds the shortest recent one [s]; 0 without a usable time."""
         if sent is None:
             return 0.0
-        if sent <= self._sent:  # the sender's clock stands still, is coarse or was set back
+        if sent <= self._sent:  # the sender's clock does not advance, is coarse or was set back
             self._delays.clear()
         self._sent, delay, delays = sent, now - sent, self._delays
         while delays and delays[-1][1] >= delay:

@@ -12,7 +12,7 @@ from tests.harness.played_station import PlayedStation, played_station
 from tests.harness.virtual_station import CIRCLE, VirtualStation, usual_case
 
 CAUSE = "this computer has slept for 12 s"
-MEANWHILE = "; the stages may have gone on meanwhile: check the robot"
+MEANWHILE = "; the stages may have moved meanwhile: check the robot"
 
 
 @pytest.fixture
