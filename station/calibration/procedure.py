@@ -112,7 +112,7 @@ class GuidedProcedure(Generic[Result]):
 
 #: Margins against a snap during a procedure. The difference between tracker and model may change by 0.12 m, because
 #: nothing is calibrated yet, and because each rest tares the hanging weight, so that the model does not contain it.
-VISITING_MARGINS = Margins(apart=0.12)
+VISITING_MARGINS = Margins(apart=0.12, unexplained=0.12)
 #: Time for a weight to stop swinging after it was hung or removed [s].
 SWING_DECAY_S = 2.0
 #: Share of the averaging time that must have been recorded.

@@ -26,6 +26,7 @@ from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.contact_start import contact_start
+from station.control.contradiction import ContradictionMonitor
 from station.control.follow import TargetTrack
 from station.control.force_zero import (
     ForceZero,
@@ -138,7 +139,7 @@ class ControlLoop:
         self._retry = 0.0  # time of the next attempt to connect a missing tracker [s]
         self._frame_at = 0.0  # arrival time of the newest tracker frame [s]
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(self._margins)
-        self._frames = TrackerMonitor()
+        self._frames, self._contradiction = TrackerMonitor(), ContradictionMonitor(self._margins.unexplained)
         self._target = TargetTrack()
         self._contact_start = 0.0  # start of the contact of a tip that holds a force [s]; 0 without contact
         self._no_wrenches = controller.no_zeros  # readings of a bench without force sensors
@@ -296,6 +297,7 @@ class ControlLoop:
     def _begin_monitors(self, margins: Margins) -> None:
         self._stall, self._snap = ProgressMonitor(), self._snap_monitor(margins)
         self._frames.begin()
+        self._contradiction = ContradictionMonitor(margins.unexplained)
 
     def _snap_monitor(self, margins: Margins) -> SnapMonitor:
         return SnapMonitor(margins, self.controller, knows_force=self.controller.senses)
@@ -456,8 +458,10 @@ class ControlLoop:
         if frame is not None:
             self._frames.update(self.controller.estimator.observer, tick.memory.estimate.observed, tick.memory.tip, age)
             if self.state is State.RUNNING and isinstance(order, Setpoint):
-                cause = self._frames.check() or self._stall.check(
-                    now, tick, self.controller.limits, self.controller.aim.floor
+                cause = (
+                    self._frames.check()
+                    or self._contradiction.check(self.controller, tick, now, age)
+                    or self._stall.check(now, tick, self.controller.limits, self.controller.aim.floor)
                 )
                 self._act_on(DeviceFault(Severity.HOLD, cause) if cause else None, now)
         if self._zero is not None:

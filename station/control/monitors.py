@@ -50,6 +50,9 @@ class Margins(Strict):
     apart: Positive = 0.030
     """largest change, within a minute, of the tip's difference between tracker and model; a larger change stops every
     axis, and a larger difference at the start ends a motion of the tip [m]"""
+    unexplained: Positive = 1.0e-3
+    """change of the difference between tracker and model that neither force, pose nor noise explains, above which a
+    motion of the tip ends in HOLD; a larger value is for tubes that differ much from the robot's file [m]"""
     design: Literal["warn", "refuse"] = "warn"
     """reaction to a robot whose tubes snap somewhere within their travel without load: show a warning, or refuse it"""
 

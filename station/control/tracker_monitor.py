@@ -28,6 +28,12 @@ NAMED_NOISE, LARGEST_NOISE = 3.0, 8.0
 MEDIAN_LENGTH = 1.538
 
 
+def scatter(differences: Array) -> float:
+    """Return the standard deviation in each axis [m] of differences (frames, 3) of two tips [m]."""
+    second = np.diff(differences, 2, axis=0)
+    return float(np.median(np.linalg.norm(second, axis=1))) / (math.sqrt(6.0) * MEDIAN_LENGTH)
+
+
 class TrackerMonitor:
     """Monitor of the newest tracker frames; the control loop calls `update` with every frame."""
 
@@ -55,8 +61,7 @@ class TrackerMonitor:
         self._unused = 0 if observed.used else self._unused + 1
         self._age, self._observer = age, observer
         if len(self._differences) > JUDGED_FRAMES:
-            second = np.diff(np.array(self._differences), 2, axis=0)
-            self.noise = float(np.median(np.linalg.norm(second, axis=1))) / (math.sqrt(6.0) * MEDIAN_LENGTH)
+            self.noise = scatter(np.array(self._differences))
 
     def begin(self) -> None:
         """Prepare for a motion: only frames that arrive in it count as used or not used."""
