@@ -60,6 +60,9 @@ def circle(page: Page, station: Served) -> None:
 
 #: Script that returns the note of a bench with these devices.
 NOTE = "(devices) => import('/static/page/station.js').then(({ benchNote }) => benchNote(devices))"
+#: Script that returns the text below the force from the deflection for variances of its axes [N²].
+POSSIBLE = """(force_variance) => import('/static/page/strip.js').then(({ possibleForce }) => possibleForce(
+    { deflection_filtered: null, force_filtered: [0.4, 0.4, 0.1], force_possible: 0.84, force_variance }))"""
 
 
 def test_page_leads_a_bench_with_stages_alone_from_its_start_to_the_report(browser: Browser, robot: Path) -> None:
@@ -72,6 +75,8 @@ def test_page_leads_a_bench_with_stages_alone_from_its_start_to_the_report(brows
         open_tab(page, "devices")
         page.locator("#devices", has_text=NOTES[()]).wait_for()
         expect(page.get_by_role("button", name="Zero the force sensors")).to_be_hidden()
+        assert page.evaluate(POSSIBLE, [1e-4, 1e-4, 1e-4]) == "up to\u00a00.84\u00a0N"
+        assert page.evaluate(POSSIBLE, [1e-4, 1e-4, 9.0]) == "unknown in z"
         home(page, station)
         circle(page, station)
         page.locator("#ended").get_by_role("button", name="Result").click()

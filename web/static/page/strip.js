@@ -26,8 +26,6 @@ function trackerError(sample) {
   const size = sample && reference(sample) === "true" ? length(error(sample, "tip_measured")) : null;
   return size === null ? "" : `tracker\u00a0error ${size.toFixed(2)}\u00a0mm`;
 }
-/** Return the force that is possible with the errors of its estimate, in the place of the button that zeros it; empty while no force is known. */
-const possibleForce = (sample) => (zero.hidden && sample?.force_filtered ? `up to\u00a0${sample.force_possible.toFixed(2)}\u00a0N` : "");
 /** Whether no sensors measure the whole load, so that the force is estimated from the deflection of the tip. */
 const byDeflection = (sample) => sample?.deflection_filtered === null && sample.force_filtered !== null;
 const knownAxes = (sample) => [0, 1, 2].filter((axis) => isForceKnown(sample, [0, 1, 2].map((i) => Number(i === axis))));
@@ -35,6 +33,12 @@ const knownAxes = (sample) => [0, 1, 2].filter((axis) => isForceKnown(sample, [0
 function forceName(sample) {
   const axes = byDeflection(sample) ? knownAxes(sample) : [0, 1, 2];
   return axes.length === 3 || axes.length === 0 ? `force${byDeflection(sample) ? ", est." : ""}` : `force in ${axes.map((axis) => "xyz"[axis]).join(", ")}`;
+}
+/** Return the axes along which the force is unknown or, if there are none, the force that is possible with the errors of its estimate; empty in the place of the button that zeros it, and while no force is known. */
+export function possibleForce(sample) {
+  if (!zero.hidden || !sample?.force_filtered) return "";
+  const unknown = byDeflection(sample) ? [0, 1, 2].filter((axis) => !knownAxes(sample).includes(axis)) : [];
+  return unknown.length > 0 ? `unknown in ${unknown.map((axis) => "xyz"[axis]).join(", ")}` : `up to\u00a0${sample.force_possible.toFixed(2)}\u00a0N`;
 }
 /** Whether the bench has a tracker that does not measure the tip now: a deflection would look as if it were measured. */
 const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured;
