@@ -10,9 +10,6 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from station.control.clock import REAL_TIME_CLOCK
-from station.devices.cia402.emergency_stop import stop_drives
-from station.devices.interfaces import NotStopped
 from station.lab.config import LabConfig
 from station.lab.lab_server import LabServer
 from tests.harness.root import ROOT
@@ -88,30 +85,3 @@ def test_drive_reports_that_the_heartbeat_of_its_host_is_missing(host):
     host("heartbeat 2")
     assert host("emergency 2") == 0x8130
     assert host("read 2 6041 0") & 0x6F == 0x07  # quick stop active
-
-
-def test_emergency_stop_stops_moving_drives(lab, paper):
-    port = lab.endpoints["cia402"]
-    command = [sys.executable, "-m", "tests.harness.canopen_host", str(urlsplit(port).port)]
-    lines = [
-        f"write 3 {words}"
-        for words in (
-            "6060 0 3 1", "6040 0 6 2", "6040 0 7 2", "6040 0 15 2",
-            "1400 1 515 4", "1600 1 1614807056 4", "1600 2 1627324448 4", "1600 0 2 1",
-            "1800 1 387 4", "1800 2 1 1", "1A00 1 1614872592 4", "1A00 2 1617166368 4", "1A00 0 2 1",
-            "60FF 0 -5000 4",
-        )
-    ]  # fmt: skip
-    lines += ["nmt 3 OPERATIONAL", "read 3 606C 0"]
-    done = subprocess.run(command, input="\n".join(lines) + "\n", capture_output=True, text=True, cwd=ROOT, check=True)
-    assert [json.loads(line) for line in done.stdout.splitlines()].count("written") == len(lines) - 2
-    assert lab.lab.chain.units[2].motor.moving
-    assert stop_drives(port, {3}, REAL_TIME_CLOCK).startswith(f"1 drives on {port} stop, commanded ")
-    assert not lab.lab.chain.units[2].motor.moving
-
-
-def test_emergency_stop_reports_a_drive_that_does_not_answer(lab):
-    with pytest.raises(NotStopped, match="node 9 was commanded to stop and has not confirmed"):
-        stop_drives(lab.endpoints["cia402"], {9}, REAL_TIME_CLOCK, patience=0.3)
-    with pytest.raises(NotStopped, match="cannot be commanded to stop"):
-        stop_drives("/dev/not-there", {1}, REAL_TIME_CLOCK, patience=0.1)

@@ -46,15 +46,6 @@ def set_going(lab: WatchedLab) -> SerialLink:
     return link
 
 
-def test_every_unit_is_commanded_to_stop_and_confirms_it(lab: WatchedLab) -> None:
-    set_going(lab).close()
-    start = time.monotonic()
-    result = stop_stages(units(lab), REAL_TIME_CLOCK)
-
-    assert result.startswith(f"3 stages on {lab.endpoints['zaber']} stop, commanded ")
-    assert lab.stop_delay(start) > 0.0
-
-
 def test_emergency_stop_retries_a_port_until_a_dying_process_releases_it(lab: WatchedLab) -> None:
     link = set_going(lab)
     release = threading.Timer(0.3, link.close)
