@@ -10,17 +10,15 @@ import resource
 import signal
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
 from station.config.controllers import PERIOD_S
-from station.control.monitors import OverrunLimits, Overruns
 from station.control.process import ring_width
 from station.control.realtime import request_fifo
 from station.control.ring import Ring
-from station.devices.interfaces import Severity
 from station.recording.read import read_case
 from station.recording.recover import recover
 from station.recording.run_outcome import RecordingError, RunOutcome
@@ -110,36 +108,6 @@ def test_run_that_fills_the_disk_ends_in_hold_and_its_written_part_is_kept(
     last = read_case(kept)
     assert last.label is RunOutcome.INCOMPLETE
     assert len(last.rows) > 500
-
-
-class Report(NamedTuple):
-    after: int  #: number of ticks until the fault
-    severity: Severity
-
-
-def reports(skips: list[int]) -> list[Report]:
-    """Return the faults after a sequence of ticks; `skips` has the number of periods that each tick skips."""
-    overruns = Overruns(OverrunLimits(), PERIOD_S)
-    found, now = [], 0.0
-    for tick, skipped in enumerate(skips, 1):
-        now += PERIOD_S * (1 + skipped)
-        trouble = overruns.check(now, skipped)
-        if trouble is not None:
-            found.append(Report(tick, trouble.severity))
-    return found
-
-
-def test_five_consecutive_overruns_cause_hold_and_twenty_cause_fault() -> None:
-    found = reports([1] * 20)
-    assert found[0] == Report(5, Severity.HOLD)
-    assert found[-1] == Report(20, Severity.FAULT)
-    assert reports([1, 1, 1, 1, 0] * 9) == []
-
-
-def test_more_than_one_percent_of_missed_periods_in_ten_seconds_causes_hold() -> None:
-    assert reports([0, 0, 49] + [0] * 100) == []
-    (found,) = reports([0] * 100 + [1, 0] * 51)
-    assert found == Report(201, Severity.HOLD)
 
 
 def test_suspended_control_loop_skips_whole_periods_and_its_motion_ends_in_hold(

@@ -2,7 +2,6 @@
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -128,22 +127,6 @@ def test_the_recorder_of_a_killed_parent_finishes_its_recording_as_interrupted(t
     assert (read.label, read.cause) == (RunOutcome.INTERRUPTED, "the station process is gone")
     assert read.rows[-1, 0] >= (written - 1) * PERIOD
     assert recover(runs) == ([], [])
-
-
-def test_a_full_disk_ends_the_recording_with_an_unsolicited_message(recorder, feed, tmp_path):
-    path = recorder.begin("one", {})
-    partial = tmp_path / "runs" / "one.partial" / "run.mcap.partial"
-    limit = until(lambda: (size := partial.stat().st_size) > 100_000 and size) + 100_000
-    resource.prlimit(recorder.child.pid, resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-    trouble = until(recorder.trouble)
-
-    assert "the recording cannot be continued: File too large" in trouble
-    with pytest.raises(RecordingError, match="no recording is active"):
-        recorder.end(RunOutcome.COMPLETE)
-    recover(tmp_path / "runs")  # finishes the recording that the full disk ended
-    read = read_case(path / "run.mcap")
-    assert read.label is RunOutcome.INCOMPLETE
-    assert is_what_was_fed(read, feed)
 
 
 def test_the_recorder_counts_rows_that_were_overwritten_in_the_ring(paper, channels, make_rows, tmp_path):
