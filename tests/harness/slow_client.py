@@ -8,12 +8,6 @@ from typing import Any, NamedTuple
 
 from tests.harness.waiting import NET
 
-#: Request of a motion whose check on the model takes several seconds of processor time.
-SLOW = {
-    "trajectory": {"kind": "waypoints", "points": [[0.5 * (k + 1), 0.0, 0.003 * (k % 2), 0.0] for k in range(1500)]},
-    "duration": 750.0,
-}
-
 
 class Answer(NamedTuple):
     """The station's answer to a request."""

@@ -105,14 +105,6 @@ def test_the_true_direction_follows_the_streamed_direction(ready: Served, tmp_pa
     assert away[told_for].max() < 8e-3
 
 
-def test_a_direction_is_refused_with_advice_where_only_the_position_is_controlled(ready: Served) -> None:
-    with Station(ready.url) as script, script.setpoints(**WIDE, controller=BEST) as tip:
-        assert tip.direction is None
-        with pytest.raises(StationError, match=r'start the stream with controller\.task = "position_and_direction"'):
-            tip.go(0.0, 0.0, 0.0, (0.0, 0.0, 1.0))
-        assert "direction_desired" not in tip.go(0.0, 0.0, 0.001)
-
-
 def test_an_opposite_direction_turns_the_tip_within_the_agreed_speed_until_stop(ready: Served) -> None:
     address = f"ws://127.0.0.1:{ready.port}/api/setpoints"
     with connect(address, proxy=None) as socket:

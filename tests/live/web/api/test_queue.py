@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from tests.harness.serving import Served
-from tests.harness.slow_client import SLOW
 from tests.harness.waiting import until
 
 SHORT = {"trajectory": {"kind": "hold"}, "duration": 0.5}
@@ -20,10 +19,6 @@ def empty_queue(station: Served) -> None:
 
 def queue(station: Served) -> dict[str, Any]:
     return station.rest.get("/api/queue").json()
-
-
-def states(station: Served) -> list[str]:
-    return [entry["state"] for entry in queue(station)["entries"]]
 
 
 def reached(station: Served, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -64,18 +59,6 @@ def test_stop_pauses_the_queue_and_nothing_moves_after_the_reset_until_it_is_res
     assert set(moved) == {"READY"}
     assert station.post("/api/queue/resume", {}).status_code == 200
     reached(station, lambda now: now["entries"][1]["state"] == "done")
-
-
-def test_stop_between_two_runs_voids_the_queue_that_was_filled_before(station: Served) -> None:
-    station.post("/api/queue", LONG)
-    reached(station, lambda now: now["entries"][0]["state"] == "running")
-    station.post("/api/queue/pause", {})
-    station.post("/api/queue", SHORT)
-    station.post("/api/stop")
-    station.ready()
-    before = queue(station)
-    assert before["entries"][1]["state"] == "waiting"
-    assert before["paused"] != ""
 
 
 def test_entries_can_be_moved_and_removed_while_they_wait(station: Served) -> None:
@@ -120,22 +103,6 @@ def test_queue_is_bounded(station: Served) -> None:
     assert refused.status_code == 409
     assert "at most 200" in refused.json()["error"]
     station.post("/api/stop")
-
-
-def test_run_that_is_being_checked_does_not_start_after_it_was_removed(station: Served) -> None:
-    """`tests/virtual/faults/test_queue_in_any_order.py` sends every change of queue and operator during the check."""
-    entry = station.post("/api/queue", SLOW).json()["entries"][0]["id"]
-    polls = iter(range(12))
-    station.wait_for(lambda _: next(polls, None) is None)  # until the queue's thread checks the motion
-    answer = station.rest.delete(f"/api/queue/{entry}")
-    if answer.status_code == 409 or "running" in states(station):
-        pytest.skip("the start had been sent before, on a fast computer")
-    assert answer.status_code == 200, answer.text
-    seen = set[str]()
-    polls = iter(range(150))
-    station.wait_for(lambda status: seen.add(status["state"]) or next(polls, None) is None)
-    assert seen == {"READY"}
-    assert "running" not in states(station)
 
 
 def test_queued_run_that_is_stopped_and_reset_at_once_is_failed(station: Served) -> None:
