@@ -76,7 +76,6 @@ def calibrate_sensors(
     tips: Array,
     noise: Noise,
     tip_error: float,
-    gravity: Array | None = None,
 ) -> SensorCalibration:
     """Fit the sensors to measurements with the tip at `tips` (m, 3), world frame [m].
 
@@ -86,7 +85,6 @@ def calibrate_sensors(
         tips: measured tip positions.
         noise: standard deviations of the summed loads.
         tip_error: standard deviation of each component of `tips` [m].
-        gravity: direction of gravity (3,), world frame; +x by default.
 
     Raises:
         UnobservableCombination: there are too few measurements without load, or all have the same rotations.
@@ -105,8 +103,7 @@ def calibrate_sensors(
                 f" from a weight: turn {joint.name} by more than 60 deg without load"
                 f" (it turned {np.degrees(turned):.1f} deg)"
             )
-    down = np.array([1.0, 0.0, 0.0]) if gravity is None else gravity / np.linalg.norm(gravity)
-    problem = _Sum(robot, measurements, tips, tip_error, noise, down)
+    problem = _Sum(robot, measurements, tips, tip_error, noise, np.array([1.0, 0.0, 0.0]))  # gravity is along +x
     found = fit(problem, problem.parameters)
     return SensorCalibration(*problem.unpacked(found.values), problem.middle, found)
 

@@ -55,7 +55,6 @@ def calibrate_tubes(
     measurements: Sequence[Measurement],
     forces: Array,
     noise: Noise,
-    what: tuple[Quantity, ...] | None = None,
     sags: Array | None = None,
 ) -> TubeCalibration:
     """Fit tubes and frames to measurements under tip forces (m, 3) [N].
@@ -68,7 +67,7 @@ def calibrate_tubes(
         CtrError: the model has no shape at a measurement.
 
     """
-    what = quantities(robot) if what is None else what
+    what = quantities(robot)
     loaded = int(np.count_nonzero(np.linalg.norm(forces, axis=1) > 0.05))
     if loaded < MIN_LOADED_MEASUREMENTS and any(q.kind == "bending_stiffness" for q in what):
         raise UnobservableCombination(

@@ -167,14 +167,6 @@ def fuse_at(robot: Robot, joints: Array, wrenches: Array) -> FusedLoad:
     return FusedLoad(total[:3], total[3:])
 
 
-def closure(load: FusedLoad, tip: Array) -> float:
-    """Return the moment mismatch |moment - tip x force| [N m].
-
-    The mismatch is zero for a point force at the tip (3,) [m], and large for other loads.
-    """
-    return float(np.linalg.norm(load.moment - np.cross(tip, load.force)))
-
-
 @compiled
 def _fuse(wrenches: Array, alpha: Array, beta: Array) -> Array:
     total = np.zeros(6)

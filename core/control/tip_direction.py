@@ -142,14 +142,12 @@ def shortest_rotation_law(here: Array, there: Array) -> Array:
     return axis * (angle / sin) if sin > 1e-12 else np.zeros(3)
 
 
-def start_direction(
-    estimator: Estimator, model: Array, direction: Array, origin: Array | None = None
-) -> DirectionEstimate:
+def start_direction(estimator: Estimator, model: Array, direction: Array) -> DirectionEstimate:
     """Return the estimate of a tip at rest with `direction` (3,); `model` (3,) is the model's tip direction."""
     first = estimator.observer.start(ARROW_LENGTH_M * model, ARROW_LENGTH_M * direction)
     counts = np.array((first.newest, first.in_a_row, first.unused), dtype=np.float64)
     direction = direction.copy()
-    return DirectionEstimate(direction, direction if origin is None else origin, np.concatenate(
+    return DirectionEstimate(direction, direction, np.concatenate(
         (direction, direction, np.zeros(9), first.bias, first.drift, first.covariance, first.refused, counts,
          first.tips.ravel()),
     ))  # fmt: skip

@@ -101,12 +101,9 @@ def inverse(
     return Inverse(*found)
 
 
-def inverse_at(
-    limits: Limits, joints: Array, jacobian: Array, desired: Array,
-    rows: Array | None = None, room: Array = NO_BOUNDS,
-) -> Inverse:  # fmt: skip
+def inverse_at(limits: Limits, joints: Array, jacobian: Array, desired: Array) -> Inverse:
     """Compute `inverse` with velocity bounds that let joints at `joints` (n,) [rad or m] stop inside their travel."""
-    return inverse(jacobian, desired, limits.speed, *limits.velocity_bounds(joints), rows, room)
+    return inverse(jacobian, desired, limits.speed, *limits.velocity_bounds(joints))
 
 
 def _raise_not_finite(jacobian: Array, desired: Array) -> None:

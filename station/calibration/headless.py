@@ -24,7 +24,6 @@ from station.config.loads import ConstantLoad, Load, NoLoad
 from station.control.clock import Clock
 from station.control.loop import ControlLoop
 from station.control.states import State
-from station.devices.aurora.tracker import TrackerMounting
 from station.devices.cameras import CalibratedView
 from station.experiments.runner import CONNECT_TIMEOUT_S
 from station.jobs.interrupts import interrupts
@@ -37,8 +36,7 @@ Result = TypeVar("Result")
 
 def run_headless(
     procedure: Procedure[Result], subject: PlanSubject, lab: LabConfig, seed: int, clock: Clock,
-    progress: Callable[[float, str], None], registration: TrackerMounting | None = None,
-    views: Mapping[str, CalibratedView] = MappingProxyType({}),
+    progress: Callable[[float, str], None], views: Mapping[str, CalibratedView] = MappingProxyType({}),
 ) -> Result:  # fmt: skip
     """Run a procedure to its end and return its result.
 
@@ -49,7 +47,6 @@ def run_headless(
         seed: seed of everything random in the lab.
         clock: real or virtual clock.
         progress: function that receives the completed share and the prompt for the operator.
-        registration: assumed pose of the tracker.
         views: calibrated lenses and poses of the cameras that measure the tip.
 
     Raises:
@@ -58,7 +55,7 @@ def run_headless(
         CtrError: the procedure rejects the measurements.
     """
     guided = GuidedProcedure(procedure)
-    bench, devices = virtual_bench(subject.file, lab, seed, subject.start, registration, views)
+    bench, devices = virtual_bench(subject.file, lab, seed, subject.start, views=views)
     loop = ControlLoop(
         DEFAULT_CONTROLLER.controller(subject.file, latency=lab_latency(lab.stages, subject.file)), devices
     )

@@ -26,15 +26,15 @@ from station.devices.cia402.protocol import (
     upload,
 )
 from station.devices.interfaces import Clock
-from station.devices.kernel.emergency import TIMEOUT_S, stop_on_port
+from station.devices.kernel.emergency import stop_on_port
 from station.devices.links.link import SerialLink
 
 BAUD = 1_000_000  #: rate of adapters with a real serial port; those with USB ignore it [bit/s]
 REPEAT_INTERVAL_S = 0.02  #: interval of quick stops and requests [s]
 
 
-def stop_drives(port: str, nodes: Set[int], clock: Clock, patience: float = TIMEOUT_S) -> str:
-    """Stop all drives on the bus and return a human-readable result; `patience` is the time limit [s].
+def stop_drives(port: str, nodes: Set[int], clock: Clock) -> str:
+    """Stop all drives on the bus and return a human-readable result.
 
     Raises:
         NotStopped: a drive has not reported that it is at rest.
@@ -68,4 +68,4 @@ def stop_drives(port: str, nodes: Set[int], clock: Clock, patience: float = TIME
         return f"node {', '.join(map(str, sorted(moving)))}"
 
     frames = b"".join(encode(Frame(COMMAND + node, stop + bytes(4))) for node in sorted(nodes))
-    return stop_on_port(port, BAUD, frames, confirmed, clock, patience, drives, unconfirmed, OPEN_ADAPTER)
+    return stop_on_port(port, BAUD, frames, confirmed, clock, drives, unconfirmed, OPEN_ADAPTER)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from station.devices.gcode.protocol import HOLD, JOG_CANCEL, QUERY, RESET, Dialect, LineReader, Position, parse
 from station.devices.interfaces import Clock
-from station.devices.kernel.emergency import TIMEOUT_S, stop_on_port
+from station.devices.kernel.emergency import stop_on_port
 from station.devices.links.link import SerialLink
 
 REPEAT_INTERVAL_S = 0.04  #: interval of stops and queries [s]
@@ -18,10 +18,8 @@ STOPS: dict[Dialect, bytes] = {"grbl": JOG_CANCEL + QUERY, "marlin": b"\nM410\nM
 LAST_RESORTS: dict[Dialect, bytes] = {"grbl": HOLD + RESET, "marlin": b"\nM112\n"}
 
 
-def stop_board(
-    port: str, baud: int, dialect: Dialect, letters: Sequence[str], clock: Clock, patience: float = TIMEOUT_S
-) -> str:
-    """Stop all axes of the board and return a human-readable result; `patience` is the time limit [s].
+def stop_board(port: str, baud: int, dialect: Dialect, letters: Sequence[str], clock: Clock) -> str:
+    """Stop all axes of the board and return a human-readable result.
 
     Raises:
         NotStopped: the board has not reported that it is at rest.
@@ -46,4 +44,4 @@ def stop_board(
         return False
 
     stages = f"{len(letters)} stages"
-    return stop_on_port(port, baud, STOPS[dialect], confirmed, clock, patience, stages, lambda: "every one")
+    return stop_on_port(port, baud, STOPS[dialect], confirmed, clock, stages, lambda: "every one")

@@ -20,7 +20,6 @@ def stop_on_port(
     stop: bytes,
     confirmed: Callable[[SerialLink], bool],
     clock: Clock,
-    patience: float,
     stages: str,
     unconfirmed: Callable[[], str],
     opening: bytes = b"",
@@ -32,7 +31,6 @@ def stop_on_port(
         stop: bytes that stop every stage.
         confirmed: reads replies until the next stop is due; returns whether every stage has confirmed its stop.
         clock: clock of the calling process.
-        patience: time limit [s].
         stages: number and kind of the stages for the result, such as `3 stages`.
         unconfirmed: returns the stages that have not confirmed, for the error.
         opening: bytes that are sent once after the port was opened.
@@ -43,7 +41,7 @@ def stop_on_port(
     start, problem, commanded = clock.now(), "no time", 0.0
     link: SerialLink | None = None
     try:
-        while clock.now() - start < patience:
+        while clock.now() - start < TIMEOUT_S:
             try:
                 if link is None:
                     link = SerialLink(port, baud)
@@ -69,10 +67,8 @@ def stop_on_port(
     )
 
 
-def stop_answering(
-    port: str, baud: int, wire: Wire, names: Sequence[str], clock: Clock, patience: float = TIMEOUT_S
-) -> str:
-    """Stop all axes on a line and return a human-readable result; `patience` is the time limit [s].
+def stop_answering(port: str, baud: int, wire: Wire, names: Sequence[str], clock: Clock) -> str:
+    """Stop all axes on a line and return a human-readable result.
 
     The stop of all axes is repeated until each axis, in its answer to a position query, reports that it does not move.
     `names`: numbers of the axes, for the error.
@@ -97,4 +93,4 @@ def stop_answering(
 
     # The first character ends a line that another process may have started.
     stop, stages = b"\n" + wire.encode(None, wire.stop, query - 1), f"{len(names)} stages"
-    return stop_on_port(port, baud, stop, confirmed, clock, patience, stages, unconfirmed)
+    return stop_on_port(port, baud, stop, confirmed, clock, stages, unconfirmed)

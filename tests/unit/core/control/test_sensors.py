@@ -10,7 +10,7 @@ from core.control.controller_settings import Controller
 from core.control.controllers import strategy
 from core.control.estimation import Actuation, Estimator
 from core.control.observer import Observer, RateFilter
-from core.control.sensors import Corrections, FusedLoad, Sensors, closure, fuse, fuse_at
+from core.control.sensors import Corrections, Sensors, fuse, fuse_at
 from core.control.step import Sample, start_controller, step
 from core.model.statics import Statics
 from core.robot.limits import JointLimit, Limits
@@ -100,18 +100,6 @@ def test_total_load_is_recovered_from_base_sensors_and_forces_between_tubes_canc
 
     np.testing.assert_allclose(fused.force, force, rtol=0, atol=1e-12)
     np.testing.assert_allclose(fused.moment, load[3:], rtol=0, atol=1e-12)
-    assert closure(fused, tip) < 1e-12
-
-
-def test_moment_mismatch_is_the_force_times_its_distance_from_the_tip():
-    tip, force = np.array([0.0, 0.0, 0.2]), np.array([0.3, 0.0, 0.0])
-    places = np.linspace(1.0, 0.0, 6)[:, None] * tip
-
-    found = [closure(FusedLoad(force, np.cross(place, force)), tip) for place in places]
-
-    np.testing.assert_allclose(found, 0.3 * np.array([0.0, 0.04, 0.08, 0.12, 0.16, 0.2]), rtol=0, atol=1e-12)
-    # A load along the line to the tip is indistinguishable from a tip load.
-    assert closure(FusedLoad(0.3 * tip, np.zeros(3)), tip) < 1e-12
 
 
 JOINTS, FORCE, COIL = np.array([0.2, 1.6, -0.1]), np.array([0.3, 0.1, -0.05]), np.array([0.4e-3, -0.3e-3, 1.0e-3])
