@@ -28,10 +28,6 @@ def says(page: Page, text: str) -> None:
     page.locator(".teach [role=status]", has_text=text).wait_for()
 
 
-def cell(page: Page, place: int, name: str) -> str:
-    return page.get_by_label(f"waypoint {place} {name}").input_value()
-
-
 def table(page: Page) -> list[list[float]]:
     """Return the values of the waypoint table [s, mm]."""
     cells = page.locator("tr.place").evaluate_all(

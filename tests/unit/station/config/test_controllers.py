@@ -5,11 +5,6 @@ import pytest
 from core.errors import DescriptionError
 from station.config.controllers import DEFAULT_CONTROLLER, ControllerFile, Present, StagesLatency, default_controller
 from station.config.robots import load_robot
-from station.config.strict import Strict
-
-
-class ControlledCase(Strict):
-    controller: ControllerFile
 
 
 @pytest.mark.parametrize(
