@@ -102,13 +102,6 @@ def test_shift_space_stops_with_the_focus_on_the_page_and_in_the_scene(page: Pag
         page.locator("#state", has_text="STOPPED").wait_for()
 
 
-def test_reload_of_the_scene_does_not_transfer_its_program_again(station: Served) -> None:
-    first = station.rest.get("/viser/")
-    again = station.rest.get("/viser/", headers={"if-none-match": first.headers["etag"]})
-    assert (first.status_code, again.status_code, again.content) == (200, 304, b"")
-    assert len(first.content) > 100_000
-
-
 def test_view_button_moves_the_camera_of_the_scene(page: Page) -> None:
     before = pixels(page)
     page.locator("#views button", has_text="Tip").click()

@@ -209,6 +209,13 @@ def test_forged_messages_to_the_scene_are_dropped_and_logged(station: Served) ->
         station.wait_for(lambda _: any("not operator" in reason for reason in drops()))
 
 
+def test_reload_of_the_scene_does_not_transfer_its_program_again(station: Served) -> None:
+    first = station.rest.get("/viser/")
+    again = station.rest.get("/viser/", headers={"if-none-match": first.headers["etag"]})
+    assert (first.status_code, again.status_code, again.content) == (200, 304, b"")
+    assert len(first.content) > 100_000
+
+
 def test_a_run_continues_without_its_operator(station: Served) -> None:
     operator = {"x-ctr-client": "the-operators-page"}
     run = {"trajectory": {"kind": "circle", "radius": 0.005, "period": 8.0}, "duration": 60.0}
