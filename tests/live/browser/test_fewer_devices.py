@@ -76,7 +76,7 @@ def test_page_leads_a_bench_with_stages_alone_from_its_start_to_the_report(brows
         page.locator("#devices", has_text=NOTES[()]).wait_for()
         expect(page.get_by_role("button", name="Zero the force sensors")).to_be_hidden()
         assert page.evaluate(POSSIBLE, [1e-4, 1e-4, 1e-4]) == "up to\u00a00.84\u00a0N"
-        assert page.evaluate(POSSIBLE, [1e-4, 1e-4, 9.0]) == "unknown in z"
+        assert page.evaluate(POSSIBLE, [1e-4, 1e-4, 9.0]) == "z\u00a0unknown"
         home(page, station)
         circle(page, station)
         page.locator("#ended").get_by_role("button", name="Result").click()

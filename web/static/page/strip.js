@@ -38,7 +38,7 @@ function forceName(sample) {
 export function possibleForce(sample) {
   if (!zero.hidden || !sample?.force_filtered) return "";
   const unknown = byDeflection(sample) ? [0, 1, 2].filter((axis) => !knownAxes(sample).includes(axis)) : [];
-  return unknown.length > 0 ? `unknown in ${unknown.map((axis) => "xyz"[axis]).join(", ")}` : `up to\u00a0${sample.force_possible.toFixed(2)}\u00a0N`;
+  return unknown.length > 0 ? `${unknown.map((axis) => "xyz"[axis]).join(",\u00a0")}\u00a0unknown` : `up to\u00a0${sample.force_possible.toFixed(2)}\u00a0N`;
 }
 /** Whether the bench has a tracker that does not measure the tip now: a deflection would look as if it were measured. */
 const isTipLost = (sample) => sample.trouble?.[1] !== -1 && !sample.tip_measured;
