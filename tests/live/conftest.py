@@ -37,9 +37,11 @@ _SHARING = pytest.StashKey[set[Path]]()
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
     """End the shared station before a file that does not use it; the station occupies a quarter of a processor."""
-    yield
-    if nextitem is None or nextitem.path not in item.config.stash.get(_SHARING, ()):
-        _shared(item.session).end()
+    try:
+        return (yield)
+    finally:  # a failed teardown must leave no station behind
+        if nextitem is None or nextitem.path not in item.config.stash.get(_SHARING, ()):
+            _shared(item.session).end()
 
 
 @pytest.fixture(scope="session", autouse=True)

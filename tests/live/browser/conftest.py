@@ -39,9 +39,11 @@ _BROWSER = pytest.StashKey[Shared[Browser]]()
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
     """End the shared browser before a test that does not use it; Playwright's event loop would disturb other tests."""
-    yield
-    if nextitem is None or "browser" not in getattr(nextitem, "fixturenames", ()):
-        _shared(item.session).end()
+    try:
+        return (yield)
+    finally:  # also after a failed teardown
+        if nextitem is None or "browser" not in getattr(nextitem, "fixturenames", ()):
+            _shared(item.session).end()
 
 
 def _shared(session: pytest.Session) -> Shared[Browser]:
