@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from station.config.strict import ConfigError, Name, Row, Strict, Vector
+from station.config.strict import ConfigError, Latency, Name, Row, Strict, Vector
 from station.devices.config import Mount
 
 #: Value of `device` for a camera that the virtual lab simulates.
@@ -51,7 +51,7 @@ class SimulationFile(Strict):
 
     noise: Annotated[float, Field(ge=0.0, le=50.0)] = 2.0
     """standard deviation of the noise of a pixel, of 255 grey levels [level]"""
-    latency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.040
+    latency: Latency = 0.040
     """time from the exposure to the arrival of a frame, at most 1 [s]"""
     dropped: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     """fraction of the frames that do not arrive, at most 1 [-]"""
@@ -77,7 +77,7 @@ class CameraFile(Strict):
     """rows of a frame, an even number"""
     rate: Annotated[float, Field(ge=1.0, le=120.0)] = 30.0
     """frames per second, at most 120 [1/s]"""
-    latency: Annotated[float, Field(ge=0.0, le=1.0)] = 0.040
+    latency: Latency = 0.040
     """time from the exposure to the arrival of a frame, which the station subtracts, at most 1 [s]"""
     lens: LensFile | None = None
     """result of a calibration of the lens. A USB camera without `lens` shows no overlay; a simulated camera has by

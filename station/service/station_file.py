@@ -21,6 +21,7 @@ from station.config.controllers import ControllerFile, Present, StagesLatency, d
 from station.config.regions import RegionFile, Regions, mesh_warnings, read_regions, resolved
 from station.config.robots import WHOLE_LOAD, RobotFile, load_robot, named_pose
 from station.config.strict import (
+    MAX_SILENCE_S,
     PRESETS,
     ConfigError,
     Format,
@@ -234,7 +235,7 @@ class ClockFile(Strict):
     rate: Annotated[float, Field(ge=0.05, le=1.0)] = 1.0
     """seconds of the station's clock per real second: a rate below 1 slows loop, lab, watchdogs, deadlines, leases and
     recorder together. Only the virtual lab can be slowed, for tests or on computers that are too slow for real time"""
-    patience: Annotated[float, Field(ge=0.02, le=10.0)] | None = None
+    patience: Annotated[float, Field(ge=0.02, le=MAX_SILENCE_S)] | None = None
     """longest silence of the stages and force sensors before they count as lost [s]. The default is 0.15 for the
     virtual lab, because other programs on this computer may delay simulated devices; the tracker may then be silent as
     long, and at least for its default. With other devices this key sets a missing `deadline` of stages of a built-in

@@ -16,7 +16,7 @@ from core.compiled import compiled
 from core.errors import CtrError
 from core.robot.robot import Array, Indices
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, Name, NotNegative, Positive, Row, Strict, check
+from station.config.strict import MAX_SILENCE_S, ConfigError, Latency, Name, Positive, Row, Strict, check
 from station.devices.ati.calibration import MAX_PAGE_BYTES, NetftPage, read_page
 from station.devices.ati.protocol import (
     LATENCY_S,
@@ -73,9 +73,9 @@ class ForceBoxFile(Strict):
 class NetftSettings(Strict):
     """Settings of the driver."""
 
-    stale_after: Positive = 0.05
+    stale_after: Annotated[float, Field(gt=0.0, le=MAX_SILENCE_S)] = 0.05
     """time without a usable record after which a sensor counts as stale [s]"""
-    latency: NotNegative = LATENCY_S
+    latency: Latency = LATENCY_S
     """time from a measurement until the box sends its record [s]"""
     ranges: Annotated[tuple[Positive, Positive, Positive, Positive, Positive, Positive], Row] = (
         18.0, 18.0, 18.0, 0.25, 0.25, 0.25,

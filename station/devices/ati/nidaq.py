@@ -17,7 +17,7 @@ from pydantic import Field
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, Name, Positive, Strict, check
+from station.config.strict import MAX_SILENCE_S, ConfigError, Name, Strict, check
 from station.devices.ati.calibration import GaugeCalibration, read_calibration
 from station.devices.config import Mount, mounted, sensor_tables, twins
 from station.devices.interfaces import BaseSensors, Condition, DeviceFault, WrenchReading
@@ -263,7 +263,7 @@ class NidaqFile(Strict):
     """inputs of the sensor under the whole robot, with `at = "robot"`"""
     rate: Annotated[float, Field(ge=100.0, le=100_000.0)] = 5000.0
     """sampling rate of each input [1/s]"""
-    stale_after: Positive = 0.05
+    stale_after: Annotated[float, Field(gt=0.0, le=MAX_SILENCE_S)] = 0.05
     """time without a usable sample after which a sensor counts as stale [s]"""
 
 

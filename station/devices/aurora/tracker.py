@@ -12,7 +12,7 @@ from core.calibration.rigid_transform import RigidTransform
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, NotNegative, Strict, check
+from station.config.strict import MAX_SILENCE_S, ConfigError, Latency, Strict, check
 from station.devices.aurora.dialogue import ANY_COIL, AuroraSettings, Coil, RateChange, SerialBreak
 from station.devices.aurora.protocol import POWER_UP_BAUD, ToolIdentity
 from station.devices.aurora.session import MAX_UNREADABLE_BYTES, AuroraSession, TrackerFrame
@@ -233,11 +233,11 @@ class AuroraFile(Strict):
     """baud rate to which the driver switches; the tracker must support this rate [bit/s]"""
     frame_rate: Annotated[float, Field(gt=0.0, le=1000.0)] = AuroraSettings.frame_rate
     """number of frames that the tracker measures per second [1/s]"""
-    latency: NotNegative = AuroraSettings.latency
+    latency: Latency = AuroraSettings.latency
     """shortest time from a measurement to the arrival of the reply with this measurement at 115200 baud [s]"""
     always_tx: bool = False
     """request frames as text (TX), for very old firmware"""
-    stale_after: Annotated[float, Field(ge=SILENCE_TIMEOUT_S, le=10.0)] = HOLD_AFTER_S
+    stale_after: Annotated[float, Field(ge=SILENCE_TIMEOUT_S, le=MAX_SILENCE_S)] = HOLD_AFTER_S
     """time without a good position after which a motion ends in HOLD; meanwhile only the model knows the tip [s]"""
     fault_bits: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """port status bits that invalidate a measurement, in addition to the two out-of-volume bits"""

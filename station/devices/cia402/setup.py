@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from station.config.robots import JointFile
-from station.config.strict import Name, Positive, Strict
+from station.config.strict import MAX_SILENCE_S, Name, Positive, Strict
 from station.devices.cia402.makes import MAKES, Make
 from station.devices.cia402.protocol import HOST_NODE, CanError
 from station.devices.config import Serial
@@ -48,7 +48,7 @@ class Cia402File(Strict):
     """port of the adapter"""
     joints: Mapping[Name, DriveFile] = {}
     """the drive of each joint; default: nodes 1, 2, ... in the order of the robot's joints"""
-    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
+    deadline: Annotated[float, Field(ge=0.02, le=MAX_SILENCE_S)] = DEADLINE_S
     """longest silence of a drive before it counts as lost [s]; the drives stop if the station is silent for 0.07 s
     longer than this"""
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from station.config.robots import JointFile
-from station.config.strict import Name, Positive, Strict
+from station.config.strict import MAX_SILENCE_S, Name, Positive, Strict
 from station.devices.config import Serial
 from station.devices.gcode.protocol import Dialect, GcodeError
 from station.devices.kernel.axis import CountedJoint, home_of
@@ -55,7 +55,7 @@ class GcodeFile(Strict):
     by hand, so the present position counts as home"""
     joints: Mapping[Name, GcodeAxisFile] = {}
     """the axis of each joint; default: X, Y, Z, A, B, C in the order of the robot's joints"""
-    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = DEADLINE_S
+    deadline: Annotated[float, Field(ge=0.02, le=MAX_SILENCE_S)] = DEADLINE_S
     """longest time without a valid position before the board counts as lost; the axes stop after half of it [s]"""
 
 

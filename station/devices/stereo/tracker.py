@@ -18,7 +18,7 @@ from pydantic import Field
 from core.calibration.rigid_transform import RigidTransform
 from core.robot.robot import Array
 from station.config.robots import RobotFile
-from station.config.strict import ConfigError, Name, NotNegative, Row, Strict, check
+from station.config.strict import MAX_SILENCE_S, ConfigError, Latency, Name, Row, Strict, check
 from station.devices.cameras import ONE_CAMERA, CameraFile, measuring
 from station.devices.config import Mount, twins
 from station.devices.interfaces import Condition, DeviceFault, Severity, TipReading
@@ -329,11 +329,11 @@ class StereoFile(Strict):
 
     cameras: Annotated[tuple[Name, ...], Row]
     """names of two cameras of this file's tables `[cameras.NAME]`, each with `lens` and `pose`"""
-    latency: NotNegative = 0.0
+    latency: Latency = 0.0
     """delay of the frames in addition to the `latency` of the cameras, from a calibration [s]"""
     max_residual: Annotated[float, Field(gt=0.0, le=50.0)] = 3.0
     """largest distance between the ball's pixel and the computed position, at most 50 [pixel]"""
-    stale_after: Annotated[float, Field(ge=0.05, le=10.0)] = HOLD_AFTER_S
+    stale_after: Annotated[float, Field(ge=0.05, le=MAX_SILENCE_S)] = HOLD_AFTER_S
     """time without a position after which a motion ends in HOLD; half of it is a warning [s]"""
     mount: Mount = Mount()
     """pose of the cameras' world frame in the robot's world frame, from a registration"""

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from station.config.robots import JointFile
-from station.config.strict import Name, Positive, Strict
+from station.config.strict import MAX_SILENCE_S, Name, Positive, Strict
 from station.devices.config import Serial
 from station.devices.kernel.axis import CountedJoint, home_of
 from station.devices.zaber.chain import LineSettings
@@ -50,7 +50,7 @@ class ZaberFile(Strict):
     """port of the chain"""
     joints: Mapping[Name, StageFile] = {}
     """the unit of each joint; default: device numbers 1, 2, ... in the order of the robot's joints"""
-    deadline: Annotated[float, Field(ge=0.02, le=10.0)] = LineSettings.deadline
+    deadline: Annotated[float, Field(ge=0.02, le=MAX_SILENCE_S)] = LineSettings.deadline
     """longest time from the start of a request to its reply [s]; a stage is lost after two missing replies in a row"""
 
 

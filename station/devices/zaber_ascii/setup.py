@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from station.config.robots import JointFile
-from station.config.strict import Name, Positive, Strict
+from station.config.strict import MAX_SILENCE_S, Name, Positive, Strict
 from station.devices.config import Serial
 from station.devices.kernel.axis import CountedJoint, home_of
 from station.devices.zaber_ascii.protocol import (
@@ -50,7 +50,7 @@ class AsciiFile(Strict):
     """port of the chain"""
     joints: Mapping[Name, AsciiStageFile] = {}
     """the axis of each joint; default: devices 1, 2, ... in the order of the robot's joints"""
-    deadline: Annotated[float, Field(ge=0.01, le=10.0)] = DEADLINE_S
+    deadline: Annotated[float, Field(ge=0.01, le=MAX_SILENCE_S)] = DEADLINE_S
     """longest time from sending a command to its reply [s]; a stage is lost after four missing replies in a row"""
 
 

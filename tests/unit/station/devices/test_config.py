@@ -7,9 +7,18 @@ import numpy as np
 import pytest
 
 from station.config.strict import ConfigError, Strict, check
+from station.devices.ati.netft import NetftSettings
+from station.devices.ati.nidaq import NidaqFile
+from station.devices.aurora.tracker import AuroraFile
+from station.devices.cia402.setup import Cia402File
 from station.devices.config import BenchFile, DevicesFile, Mount, mounted, transport
+from station.devices.gcode.setup import GcodeFile
 from station.devices.interfaces import WrenchReading
 from station.devices.registry import plan
+from station.devices.stereo.tracker import StereoFile
+from station.devices.zaber.setup import ZaberFile
+from station.devices.zaber_ascii.setup import AsciiFile
+from station.service.station_file import ClockFile
 
 
 class File(Strict):
@@ -198,3 +207,17 @@ def test_bench_may_have_one_force_sensor_under_the_robot_or_on_one_tube(paper):
 def test_force_sensors_that_do_not_fit_their_place_are_refused(paper, text, at, message):
     with pytest.raises(ConfigError, match=message):
         plan(read(text), paper.sensed_at(at, "devices.sensors.at"))
+
+
+@pytest.mark.parametrize(
+    ("model", "key", "most"),
+    [
+        *((model, "deadline", 2.0) for model in (ZaberFile, AsciiFile, GcodeFile, Cia402File)),
+        *((model, "stale_after", 2.0) for model in (AuroraFile, StereoFile, NetftSettings, NidaqFile)),
+        *((model, "latency", 1.0) for model in (AuroraFile, StereoFile, NetftSettings)),
+        (ClockFile, "patience", 2.0),
+    ],
+)
+def test_no_file_lets_a_device_be_silent_or_late_for_longer(model: type[Strict], key: str, most: float) -> None:
+    with pytest.raises(ConfigError, match=f"{key}.* {most:g}"):
+        check(model, {key: 1.01 * most}, "file")
