@@ -26,7 +26,7 @@ from core.control.trajectories import JointMotion, Setpoint
 from core.errors import CtrError
 from core.robot.robot import Array
 from station.control.contact_start import contact_start
-from station.control.contradiction import ContradictionMonitor
+from station.control.contradiction import ContradictionMonitor, compared_tips
 from station.control.follow import TargetTrack
 from station.control.force_zero import (
     ForceZero,
@@ -460,7 +460,7 @@ class ControlLoop:
             if self.state is State.RUNNING and isinstance(order, Setpoint):
                 cause = (
                     self._frames.check()
-                    or self._contradiction.check(self.controller, tick, now, age)
+                    or self._contradiction.check(compared_tips(self.controller, tick, measured), now, age)
                     or self._stall.check(now, tick, self.controller.limits, self.controller.aim.floor)
                 )
                 self._act_on(DeviceFault(Severity.HOLD, cause) if cause else None, now)

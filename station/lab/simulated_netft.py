@@ -108,8 +108,9 @@ class SimulatedNetft:
                 np.repeat([box.force_counts, box.torque_counts], 3),
             ]
         )
-        #: Gain and cross-talk errors (6, 6); None: no errors.
-        self._skew = gain_errors(config.gain, box, crossed) if config.gain > 0.0 else None
+        self.offset = self._axes[0]  #: offset (6,), which a test may change [N, N m]
+        #: Gain and cross-talk errors (6, 6), which a test may change; None: no errors.
+        self.skew = gain_errors(config.gain, box, crossed) if config.gain > 0.0 else None
         self._noise, self._drawn = np.empty((NOISE_BLOCK, 6)), NOISE_BLOCK
         self._bytes = np.zeros(RECORD.size, np.uint8)
         self._true = np.zeros(6)
@@ -128,8 +129,8 @@ class SimulatedNetft:
 
         The wrench (6,) [N, N m] changes linearly from the previous call until `now`.
         """
-        if self._skew is not None:
-            wrench = wrench + self._skew @ wrench
+        if self.skew is not None:
+            wrench = wrench + self.skew @ wrench
         start, before = self._now, self._true
         for datagram, sender in self._end.receive():
             if not self.faults.mute:

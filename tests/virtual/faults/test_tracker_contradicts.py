@@ -5,6 +5,7 @@ Usual loads and paths on labs whose tubes differ from the robot's file end no mo
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,19 +36,26 @@ def near_metal(time: float, away: float) -> float:
     return 0.012 * min(1.0, 0.25 * time) * float(np.exp(-((away / 0.01) ** 2)))
 
 
+def moving(lab: str, motion: Any) -> VirtualStation:
+    case = usual_case()
+    return VirtualStation(case._replace(lab=load_lab(lab, case.robot))).moving(motion, since=3.0)
+
+
 @pytest.mark.parametrize(
-    ("lab", "motion", "error"),
+    ("lab", "motion", "error", "most"),
     [
-        *(("gentle", HoldMotion(), jump(size)) for size in (0.005, 0.010, 0.015, 0.025)),
-        *(("gentle", HoldMotion(), ramp(speed)) for speed in (0.001, 0.003, 0.010)),
-        ("gentle", HoldMotion(), near_metal),
-        *((lab, HoldMotion(), ramp(0.003)) for lab in ("realistic", "uncalibrated")),
-        *(("realistic", CIRCLE, jump(size)) for size in (0.005, 0.010, 0.025)),
+        *(("gentle", HoldMotion(), jump(size), FARTHEST_M) for size in (0.005, 0.010, 0.015, 0.025)),
+        *(("gentle", HoldMotion(), ramp(speed), FARTHEST_M) for speed in (0.001, 0.003, 0.010)),
+        ("gentle", HoldMotion(), near_metal, FARTHEST_M),
+        *((lab, HoldMotion(), ramp(0.003), FARTHEST_M) for lab in ("realistic", "uncalibrated")),
+        *(("realistic", CIRCLE, jump(size), FARTHEST_M) for size in (0.005, 0.010, 0.025)),
+        # Wrong tubes explain as much on a path.
+        ("gentle", CIRCLE, ramp(0.001), 7e-3),
+        ("gentle", CIRCLE, ramp(0.003), 4.5e-3),
     ],
 )
-def test_a_displaced_tracker_ends_a_motion_before_the_tip_follows_it(lab, motion, error) -> None:
-    case = usual_case()
-    station = VirtualStation(case._replace(lab=load_lab(lab, case.robot))).moving(motion, since=3.0)
+def test_a_displaced_tracker_ends_a_motion_before_the_tip_follows_it(lab, motion, error, most) -> None:
+    station = moving(lab, motion)
 
     def off_path() -> np.ndarray:
         rows = station.rows[-1:]
@@ -67,7 +75,32 @@ def test_a_displaced_tracker_ends_a_motion_before_the_tip_follows_it(lab, motion
     station.seconds(0.5)
     if motion is not CIRCLE:
         farthest += float(np.linalg.norm(station.lab.truth.tip - held))
-    assert farthest < FARTHEST_M
+    assert farthest < most
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.5, -1.0])
+@pytest.mark.parametrize("sensor", [0, 1])
+def test_a_force_sensor_whose_gain_changes_does_not_move_the_tip_by_3_mm(sensor: int, gain: float) -> None:
+    station = moving("realistic", HoldMotion())
+    begin = len(station.rows)
+    station.lab.boxes[sensor].skew = gain * np.eye(6)
+    station.seconds(3.0)
+    away = station.of("tip_true")[begin:] - station.of("tip_desired")[begin:]
+    running = station.of("state")[begin:, 0] == State.RUNNING
+    assert float(np.linalg.norm(away[running], axis=1).max()) < FARTHEST_M
+    assert gain == 0.1 or station.state in (State.HOLD, State.STOPPED)
+
+
+@pytest.mark.parametrize("sensor", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_offset_of_a_sensor_moves_the_tip_for_a_moment_as_a_touch_of_the_tubes_does(sensor: int, axis: int) -> None:
+    station = moving("gentle", HoldMotion())
+    begin, box = len(station.rows), station.lab.boxes[sensor]
+    box.offset[axis] += 0.3
+    station.seconds(4.0)
+    away = np.linalg.norm(station.of("tip_true")[begin:] - station.of("tip_desired")[begin:], axis=1)
+    assert away.max() < 5e-3
+    assert away[-500:].max() < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from station.control.states import State
+from station.experiments.experiment import load_experiment
+from tests.harness.cases import a_run
 from tests.harness.virtual_station import VirtualStation, usual_case
 
 FARTHEST_M = 3e-3
@@ -49,3 +51,15 @@ def test_a_motion_goes_on_with_worse_frames_which_a_warning_names(kind: str, val
     assert tracker is not None
     assert named in f"{station.loop.warning} {tracker.trouble(station.now)}"
     assert path_error(station, begin) < FARTHEST_M
+
+
+def test_an_oscillation_of_joints_and_forces_is_not_called_noise_of_the_tracker() -> None:
+    case = load_experiment("fig4", {"lab": "realistic"}, check_motions=False, only="deflection").cases[0]
+    run = a_run(case, 1)
+    assert run.cause.startswith("the model's tip oscillates by 0.")
+    assert "use a lower controller.filter_bandwidth" in run.cause
+    slow = load_experiment(
+        "fig4", {"lab": "realistic", "controller": {"filter_bandwidth": 1.0}, "duration": 12.0},
+        check_motions=False, only="deflection",
+    ).cases[0]  # fmt: skip
+    assert a_run(slow, 1).completed
