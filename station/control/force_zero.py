@@ -5,9 +5,12 @@ A tare sets the force to zero, whatever touches the robot. So the loop also keep
     total force = force since the last tare + removed force,
     removed force = force that belongs to the readings at the last tare minus those without contact.
 
-A tare may remove only a force that errors explain: `QUIET_N`, a part that grows with the travel of the joints since the
-last tare, and the drift since then. Only the drift changes the readings without contact. The rest of a removed force
-remains in the total force, so many small contacts add up until a tare is refused.
+A tare may remove only a force that errors explain: `QUIET_N`, the drift since the last tare, and the larger of two
+parts: one grows with the travel of the joints since then, the other is the error of gain and cross-talk for the change
+of the readings. Friction between the tubes changes the readings without any travel or force on the tip: in the lab
+realistic by up to 17 N along z, with opposite signs at the two sensors, which appears as 0.3 N. Only the drift changes
+the readings without contact. The rest of a removed force remains in the total force, so many small contacts add up
+until a tare is refused.
 
 Readings are those of the base sensors. On a bench without sensors the reading is the measured tip minus the model's tip
 without load, and its force follows from the compliance. Where the tubes are stiff, that force is unknown.
@@ -31,6 +34,8 @@ QUIET_N = 0.06
 POSE_N_BY_GAIN, POSE_N_BY_DEFLECTION = 33.0, 7.0
 #: Travel of a joint at which the apparent force is the largest [rad, m].
 POSE_TRAVEL = {"rad": 1.0, "m": 0.030}
+#: Standard deviations of the force in each axis by errors of gain and cross-talk; 97 % of the vectors are smaller.
+GAIN_DEVIATIONS = 3.0
 #: Largest drift that a tare accepts without a person's confirmation [N]; also at most half of the bound.
 LARGEST_DRIFT_N = 0.3
 #: Drift of the force from the deflection [N/s]: the tubes' curvature may change by 2 % in an hour.
@@ -74,12 +79,15 @@ def removed_force(controller: Controller, zero: ForceZero, solution: Solution) -
     return _force(controller, zero.tare - zero.free, solution)
 
 
-def contact(controller: Controller, zero: ForceZero, force: Array, removed: Array, joints: Array, now: float) -> str:
+def contact(
+    controller: Controller, zero: ForceZero, change: Array, force: Array, removed: Array, joints: Array, now: float
+) -> str:
     """Return why the tip may have contact, with what to do; empty without contact.
 
     Args:
         controller: controller of the bench.
         zero: zero of the force.
+        change: readings (q, 6) of the sensors minus those at the last tare [N, N m].
         force: force (3,) since the last tare [N].
         removed: force (3,) that the tares have removed [N].
         joints: joints (n,) [rad or m].
@@ -88,8 +96,13 @@ def contact(controller: Controller, zero: ForceZero, force: Array, removed: Arra
     if zero.doubt:
         return zero.doubt
     pose, drift = _pose_error(controller), _drift(controller, zero, now)
-    limit, total = min(QUIET_N + pose, _half_bound(controller)) + drift + zero.noise, _size(force + removed)
-    near, since = min(QUIET_N + _share(controller, zero, joints) * pose, limit) + drift + zero.noise, _size(force)
+    here = _share(controller, zero, joints) * pose
+    if controller.senses:
+        here = max(here, _gain_error(controller, change))
+        pose = max(pose, _gain_error(controller, change + zero.tare - zero.free))
+    most, drift = _half_bound(controller), drift + zero.noise
+    limit, total = min(QUIET_N + pose, most) + drift, _size(force + removed)
+    near, since = min(QUIET_N + here, most) + drift, _size(force)
     if since > near:
         total, limit = since, near
     elif total <= limit:
@@ -130,7 +143,7 @@ def after_tare(
     """
     removed = removed_force(controller, zero, solution)
     total = _force(controller, readings - zero.free, solution)
-    refused = contact(controller, zero, total - removed, removed, solution.joints, now)
+    refused = contact(controller, zero, readings - zero.tare, total - removed, removed, solution.joints, now)
     if refused:  # keep the readings without contact, so that a known load remains in the total force
         return replace(zero, tare=readings, joints=solution.joints.copy(), noise=0.0), refused
     part = 1.0 if first else min(1.0, _drift(controller, zero, now) / max(_size(total), 1e-9))
@@ -172,6 +185,13 @@ def _pose_error(controller: Controller) -> float:
     if controller.senses:
         return POSE_N_BY_GAIN * controller.estimator.load.errors.gain
     return POSE_N_BY_DEFLECTION * controller.tube_error
+
+
+def _gain_error(controller: Controller, change: Array) -> float:
+    """Return the largest force by errors of gain and cross-talk if the readings of the sensors change [N]."""
+    errors = controller.estimator.load.errors
+    ranges = np.repeat([errors.force_range, errors.moment_range], 3)
+    return GAIN_DEVIATIONS * errors.gain * errors.force_range * float(np.linalg.norm(change / ranges))
 
 
 def _share(controller: Controller, zero: ForceZero, joints: Array) -> float:

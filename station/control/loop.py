@@ -143,6 +143,7 @@ class ControlLoop:
         self._target = TargetTrack()
         self._contact_start = 0.0  # start of the contact of a tip that holds a force [s]; 0 without contact
         self._no_wrenches = controller.no_zeros  # readings of a bench without force sensors
+        self._change = self._no_wrenches  # newest readings of the sensors minus the tare (q, 6) [N, N m]
 
     @property
     def cause(self) -> str:
@@ -334,7 +335,7 @@ class ControlLoop:
             if pressing := still_pressing(self._pressed, total - removed):
                 return pressing
             self._pressed = None
-        return contact(self.controller, zero, total - removed, removed, loaded.joints, now)
+        return contact(self.controller, zero, self._change, total - removed, removed, loaded.joints, now)
 
     def _end_rest(self) -> None:
         """End an unfinished tare before a motion; if nothing has moved so far, its readings become the zero."""
@@ -432,6 +433,7 @@ class ControlLoop:
         tip, age = (None, 0.0) if frame is None else (frame.position, now - frame.time)
         direction = None if frame is None else frame.direction
         measured = wrenches.wrenches - tare if self.controller.senses else self._no_wrenches
+        self._change = measured
         sample = Sample(joints.positions, joints.sent, measured, tip, age, direction)
         try:
             if self._memory is None:

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from core.control.force_control import OVERSHOOT
-from station.config.loads import NoLoad, RampLoad, WallLoad
+from station.config.loads import ConstantLoad, NoLoad, RampLoad, WallLoad
+from station.config.motions import HoldMotion, Orders
 from station.control.force_zero import QUIET_N
 from station.control.monitors import FURTHER_RISE_N, OVERLOAD_TIME_S, RELIEF_RISE_N
 from station.control.states import RefusedError, State
-from station.control.task import Phase
+from station.control.task import MotionTask, Phase
+from station.lab.config import load_lab
 from tests.harness.ideal_station import BENCHES, IdealStation, Kind
+from tests.harness.virtual_station import CIRCLE, VirtualStation, usual_case
 
 Order = Callable[[IdealStation], None]
 #: A load that grows by 0.2 N/s to 1.3 N, across the tubes.
@@ -348,3 +351,25 @@ def attack(without: tuple[Kind, ...], seed: int, orders: int = 6) -> dict[str, f
 def test_random_orders_neither_exceed_the_largest_force_nor_hide_a_contact(without: tuple[Kind, ...]) -> None:
     found = attack(without, 0, orders=3)
     assert min(found[key] for key in ("bound", "tare", "start")) > 0.0, found
+
+
+def test_friction_that_changes_the_readings_of_the_sensors_refuses_no_start() -> None:
+    case = usual_case()
+    station = VirtualStation(case._replace(lab=load_lab("realistic", case.robot)), seed=1).ready()
+    readings = list[np.ndarray]()
+    for load, motion in ((0.2, HoldMotion()), (0.2, CIRCLE), (0.1, HoldMotion()), (0.0, HoldMotion())):
+        station.rows.clear()
+        station.loop.start(MotionTask(case.controller, Orders(motion, case.robot.robot()), 5.0))
+        station.until(lambda: station.loop.phase is Phase.MOVING)
+        station.lab.apply_load(ConstantLoad(magnitude=load) if load else NoLoad(), station.now)
+        station.becomes(State.READY)
+        station.lab.apply_load(NoLoad(), station.now)
+        station.seconds(0.5)
+        readings.append(station.of("wrench_raw")[-1].reshape(2, 6)[:, 2])
+    changes = np.abs(np.diff(readings, axis=0))
+    assert changes.max() > 5.0  # N, although no load was above 0.2 N
+
+    station.lab.apply_load(ConstantLoad(magnitude=0.8), station.now)
+    station.seconds(1.0)
+    with pytest.raises(RefusedError):
+        station.loop.start(MotionTask(case.controller, Orders(HoldMotion(), case.robot.robot()), 5.0))
