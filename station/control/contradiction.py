@@ -7,8 +7,9 @@ tip by this change. A wrong force sensor bends only the model, which changes the
 
 Medians of `FRAMES` frames are compared with three references, which follow them with the time constants `FORGETS_S`.
 The change of X - F is a contradiction if it exceeds `margins.unexplained`, the tracker's noise, shares of the largest
-recent changes of deflection and setpoint, and what errors of the sensors' gain explain together. Without force sensors a load is known only from the
-difference itself. The sum of the forces alone, as in the paper, is wrong by 0.3 N if the tubes have friction.
+recent changes of deflection and setpoint, and what errors of the sensors' gain explain together. Without force sensors
+a load is known only from the difference itself. The sum of the forces alone, as in the paper, is wrong by 0.3 N if the
+tubes have friction.
 """
 
 from collections import deque
